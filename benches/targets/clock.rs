@@ -10,7 +10,7 @@ pub fn cpu_time_s() -> f64 {
         now.tv_sec as f64 + now.tv_nsec as f64 * 1e-9
     }
     #[cfg(not(unix))]
-    wall_s()
+    wall_time_s()
 }
 
 pub fn wall_time_s() -> f64 {

@@ -6,7 +6,7 @@ use crumple_world::random::{NormalSampler, Purpose, stream};
 use pulp::{Arch, Simd, WithSimd};
 
 use crate::clock::min_cpu_time_s;
-use crate::table::{MachineLimit, format_three_digits};
+use crate::table::format_three_digits;
 
 /// Measures single-precision operations per second in registers; a fused multiply-add counts as two.
 ///
@@ -85,15 +85,12 @@ pub fn processor_model() -> String {
     format!("{name}, family {family}, model {model}, registers of {lanes} doubles")
 }
 
-pub fn measure(say: &mut dyn FnMut(MachineLimit)) {
-    let mut limit = |name: &str, value: f64, unit| {
-        say(MachineLimit { name: name.to_owned(), value: format_three_digits(value), unit })
-    };
-    limit(
-        "fused multiply-adds in registers, single precision",
-        register_operations_per_second() / 1e9,
-        "billion operations a second",
-    );
+/// Passes the rows of the table.
+pub fn measure(say: &mut dyn FnMut(String)) {
+    let mut limit =
+        |name: &str, value: f64, unit: &str| say(format!("| {name} | {} {unit} |", format_three_digits(value)));
+    let operations = register_operations_per_second() / 1e9;
+    limit("fused multiply-adds in registers, single precision", operations, "billion operations a second");
     limit("normal numbers from one stream", 1e9 / normals_per_second(), "ns each");
     for (name, bytes) in [
         ("read from the first-level cache (16 KiB)", 1 << 14),

@@ -89,11 +89,8 @@ fn search(method: Method, budget: usize) -> Box<dyn FnMut()> {
         let mut made = 0;
         while made < budget {
             let points = search.ask();
-            let values = points
-                .iter()
-                .take(budget - made)
-                .map(|point| robustness(&formula, &ChasingCarsInputs::from_unit(point)));
-            let values: Vec<f64> = values.collect::<Result<_, _>>().expect("fits");
+            let inputs = points.iter().take(budget - made).map(|point| ChasingCarsInputs::from_unit(point));
+            let values: Vec<f64> = inputs.map(|inputs| robustness(&formula, &inputs).expect("fits")).collect();
             made += values.len();
             search.tell(&values);
         }

@@ -37,18 +37,6 @@ impl Measurement {
 
 pub const HEADER: &str = "| figure | target | measured | ratio | |\n|---|---|---|---|---|";
 
-pub struct MachineLimit {
-    pub name: String,
-    pub value: String,
-    pub unit: &'static str,
-}
-
-impl MachineLimit {
-    pub fn markdown_row(&self) -> String {
-        format!("| {} | {} {} |", self.name, self.value, self.unit)
-    }
-}
-
 pub const LIMITS_HEADER: &str = "| limit of this machine | measured |\n|---|---|";
 
 pub fn format_three_digits(value: f64) -> String {

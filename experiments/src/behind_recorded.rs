@@ -42,10 +42,6 @@ struct ReplayTotals {
     squares: [f64; 2],
 }
 
-pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
-    print_measurements(&ReplayArgs::parse(arguments.iter().cloned())?)
-}
-
 struct ReplayArgs {
     scenarios: Vec<Scenario>,
     controllers: Vec<NamedController>,
@@ -67,7 +63,7 @@ impl ReplayArgs {
         for path in &recordings {
             let recording = load(Path::new(path), None)?;
             for platoon in &recording.platoons {
-                for leader in 0..platoon.vehicles().len() {
+                for leader in 0..platoon.vehicles.len() {
                     scenarios.extend(scenarios_behind(platoon, leader));
                 }
             }
@@ -80,15 +76,16 @@ impl ReplayArgs {
     }
 }
 
-fn print_measurements(ReplayArgs { scenarios, controllers }: &ReplayArgs) -> Result<(), ExperimentError> {
+pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
+    let ReplayArgs { scenarios, controllers } = ReplayArgs::parse(arguments.iter().cloned())?;
     println!("{} pieces of recorded leaders\n", scenarios.len());
     println!(
         "| controller | into the leader | from behind | distance, relative to the leader's | false brakes a minute | \
          mean of the hardest braking imposed, m/s² | rms a | rms jerk |"
     );
     println!("|---|---|---|---|---|---|---|---|");
-    for controller in controllers {
-        let (name, sums) = (&controller.name, simulate_all(scenarios, controller)?);
+    for controller in &controllers {
+        let (name, sums) = (&controller.name, simulate_all(&scenarios, controller)?);
         let n = sums.runs.max(1) as f64;
         println!(
             "| {name} | {} | {} | {:.3} | {:.2} | {:.2} | {:.2} | {:.2} |",
@@ -105,10 +102,10 @@ fn print_measurements(ReplayArgs { scenarios, controllers }: &ReplayArgs) -> Res
 }
 
 fn scenarios_behind(platoon: &RecordedPlatoon, leader: usize) -> Vec<Scenario> {
-    let speeds = platoon.vehicles()[leader].speed_mps();
-    let follower = (leader + 1 < platoon.vehicles().len()).then_some(leader + 1);
+    let speeds = &platoon.vehicles[leader].speed_mps;
+    let follower = (leader + 1 < platoon.vehicles.len()).then_some(leader + 1);
     let known: Vec<usize> = (0..speeds.len()).filter(|&sample| speeds[sample].is_some()).collect();
-    let time_s = platoon.time_s();
+    let time_s = &platoon.time_s;
     let mut pieces: Vec<Vec<usize>> = Vec::new();
     for sample in known {
         match pieces.last_mut() {
@@ -132,22 +129,22 @@ fn scenario_from_piece(
     piece: &[usize],
 ) -> Option<Scenario> {
     let (&first, &last) = (piece.first()?, piece.last()?);
-    let start_s = platoon.time_s()[first];
-    let duration_s = platoon.time_s()[last] - start_s;
+    let start_s = platoon.time_s[first];
+    let duration_s = platoon.time_s[last] - start_s;
     if duration_s < MIN_PIECE_S {
         return None;
     }
     let milli = |value: f64| (1000.0 * value).round() / 1000.0;
-    let recorded = |sample: usize| platoon.vehicles()[leader].speed_mps()[sample];
+    let recorded = |sample: usize| platoon.vehicles[leader].speed_mps[sample];
     let speed_mps: Vec<f64> = piece.iter().filter_map(|&sample| recorded(sample)).map(milli).collect();
-    let time_s: Vec<f64> = piece.iter().map(|&sample| milli(platoon.time_s()[sample] - start_s)).collect();
+    let time_s: Vec<f64> = piece.iter().map(|&sample| milli(platoon.time_s[sample] - start_s)).collect();
     let hardest_mps2 =
         time_s.windows(2).zip(speed_mps.windows(2)).fold([0.0_f64; 2], |[brake, accel], (time, speed)| {
             let slope = (speed[1] - speed[0]) / (time[1] - time[0]);
             [brake.max(-slope), accel.max(slope)]
         });
     let behind = follower.and_then(|follower| {
-        Some([platoon.vehicles()[follower].speed_mps()[first]?, platoon.gap_ahead_m(follower)[first]?])
+        Some([platoon.vehicles[follower].speed_mps[first]?, platoon.gap_ahead_m(follower)[first]?])
     });
     let [ego_mps, gap_m] = behind.unwrap_or([speed_mps[0], 2.0 + 1.5 * speed_mps[0]]).map(milli);
     let ego_m = milli(CAR_LENGTH_M + 2.0 + 1.2 * ego_mps);
@@ -195,14 +192,11 @@ fn simulate_all(scenarios: &[Scenario], controller: &NamedController) -> Result<
         let into_the_leader = contact.is_some_and(|contact| contact.front_vehicle == 0);
         sums.leader_contacts += u64::from(into_the_leader);
         sums.rear_contacts += u64::from(contact.is_some() && !into_the_leader);
-        let Some(DriveSummary { ego_distance_m: driven_m, leader_distance_m: led_m, false_brakes, driven_s }) = ridden
-        else {
-            continue;
-        };
-        sums.ego_distance_m += driven_m;
-        sums.leader_distance_m += led_m;
-        sums.false_brakes += false_brakes;
-        sums.driven_s += driven_s;
+        let Some(ridden) = ridden else { continue };
+        sums.ego_distance_m += ridden.ego_distance_m;
+        sums.leader_distance_m += ridden.leader_distance_m;
+        sums.false_brakes += ridden.false_brakes;
+        sums.driven_s += ridden.driven_s;
         let Some(useful) = useful else { continue };
         sums.squares[0] += useful.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
         sums.squares[1] += useful.rms_jerk_mps3.unwrap_or(0.0).powi(2);

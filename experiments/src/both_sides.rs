@@ -52,24 +52,16 @@ struct SpaceTotals {
 const EMERGENCY_SPACE: &str = "high-risk";
 const TRAFFIC_SPACE: &str = "traffic";
 
-pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
-    print_measurements(&SpaceComparisonArgs::parse(arguments.iter().cloned())?)
-}
-
-#[derive(Clone, serde::Deserialize)]
+#[derive(serde::Deserialize)]
 struct ParetoPoint {
     name: String,
     /// RMS jerk in `traffic`.
     jerk_mps3: f64,
     /// Share of random scenarios of `high-risk`.
     contacts_percent: f64,
-    /// True for a trained policy.
-    #[serde(skip, default = "default_true")]
-    is_trained: bool,
-}
-
-fn default_true() -> bool {
-    true
+    /// False for a trained policy.
+    #[serde(skip)]
+    is_untrained: bool,
 }
 
 impl ParetoPoint {
@@ -125,9 +117,9 @@ impl SpaceComparisonArgs {
     }
 }
 
-fn print_measurements(
-    SpaceComparisonArgs { draws, controllers, figures, measured_before, spaces }: &SpaceComparisonArgs,
-) -> Result<(), ExperimentError> {
+pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
+    let SpaceComparisonArgs { draws, controllers, figures, measured_before, spaces } =
+        SpaceComparisonArgs::parse(arguments.iter().cloned())?;
     println!(
         "| space | controller | contacts | into the leader | hard | needless | beyond 2 | harder | left behind | rms \
          a | rms jerk | progress | time gap s | imposed |"
@@ -137,12 +129,12 @@ fn print_measurements(
         name: Path::new(name).file_stem().map_or(name.as_str().into(), |stem| stem.to_string_lossy()).into_owned(),
         jerk_mps3: 0.0,
         contacts_percent: 0.0,
-        is_trained: name.ends_with(".safetensors"),
+        is_untrained: !name.ends_with(".safetensors"),
     };
     let mut front: Vec<ParetoPoint> = controllers.iter().map(mark_of).collect();
-    for &space in spaces {
+    for space in spaces {
         for (controller, mark) in controllers.iter().zip(&mut front) {
-            let (name, draws) = (&controller.name, *draws);
+            let name = &controller.name;
             let sums = simulate_draws(space, controller, draws)?;
             let n = draws as f64;
             let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len().max(1) as f64;
@@ -169,9 +161,9 @@ fn print_measurements(
             }
         }
     }
-    front.extend(measured_before.iter().cloned());
+    front.extend(measured_before);
     for file in figures {
-        std::fs::write(file, draw_front(&front, *draws).document()).map_err(|error| format!("{file}: {error}"))?;
+        std::fs::write(&file, draw_front(&front, draws).document()).map_err(|error| format!("{file}: {error}"))?;
     }
     Ok(())
 }
@@ -189,8 +181,8 @@ fn draw_front(front: &[ParetoPoint], draws: u64) -> Svg {
         let at = mark.position();
         let others = front.iter().enumerate().filter(|(other, _)| *other != index).map(|(_, other)| other.position());
         let nearest = others.min_by(|a, b| apart(a, &at).total_cmp(&apart(b, &at)));
-        let marker = if mark.is_trained { Marker::Ring } else { Marker::Cross };
-        panel.add_markers(&[at], marker, Ink::Series(usize::from(mark.is_trained)));
+        let marker = if mark.is_untrained { Marker::Cross } else { Marker::Ring };
+        panel.add_markers(&[at], marker, Ink::Series(usize::from(!mark.is_untrained)));
         // The label is on the side away from the nearest mark.
         let is_left = nearest.is_some_and(|nearest| nearest.0 > at.0);
         let (side, anchor) = if is_left { (-0.012, Anchor::End) } else { (0.012, Anchor::Start) };

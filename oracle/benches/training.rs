@@ -1,24 +1,18 @@
 //! Training and inference: time of one update and of one decision.
 //!
 //! `cargo bench -p crumple-oracle` compares the hand-written update, the plain formulation on candle, and the matrix
-//! products of an update on candle, in one run, on one thread unless stated. The counted item is a floating-point
-//! operation of the matrix products. Upper bounds are multiply-adds in registers, and one large product of candle and
-//! of this project.
+//! products of an update on candle, in one run, on one thread. The counted item is a floating-point operation of the
+//! matrix products. Upper bounds are one large product of candle and of this project; the bench `targets` measures
+//! multiply-adds in registers, and lockstep rollouts.
 
 #![allow(clippy::expect_used, reason = "a bench may stop at what cannot happen")]
 
-use std::sync::Arc;
-
 use candle_core::{Device, Tensor};
 use crumple_oracle::ReferenceLearner;
-use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::{FrameStack, Workspace};
 use crumple_world::random::{Purpose, stream};
-use crumple_world::scenario::{PAPER_STEP_S, PaperDistribution};
-use crumple_world::sim::{RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch};
 use divan::Bencher;
 use divan::counter::ItemsCount;
-use pulp::{Arch, Simd, WithSimd};
 
 #[path = "../../benches/work/networks.rs"]
 #[allow(dead_code, missing_docs, unreachable_pub, reason = "shared with other benches, none of which needs all of it")]
@@ -26,7 +20,7 @@ mod networks;
 
 use networks::{
     LARGE_PRODUCT_SIZE, acting_operations, batch, config, large_product, learner, observations, operations, products,
-    random_policy, td3,
+    random_policy,
 };
 
 fn main() {
@@ -47,31 +41,6 @@ fn update_by_hand(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usi
     let mut learner = learner(&config(width, count));
     let (batch, mut noise) = (batch(count), stream(1, Purpose::TargetNoise, 0));
     bencher.counter(items_count(&products(width, count, 1))).bench_local(|| learner.update(&batch, &mut noise));
-}
-
-#[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]
-fn td3_update_by_hand(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
-    let mut learner = learner(&td3(width, count));
-    let (batch, mut noise) = (batch(count), stream(1, Purpose::TargetNoise, 0));
-    bencher.counter(items_count(&products(width, count, 2))).bench_local(|| learner.update(&batch, &mut noise));
-}
-
-/// Runs two trainings in parallel, an update each: twice the operations of one.
-#[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]
-fn two_updates_on_two_cores(bencher: Bencher<'_, '_>, (_, width, count): (&str, usize, usize)) {
-    /// Minimum number of multiply-adds of each training, so that starting threads is negligible.
-    const WORK: usize = 200 << 20;
-    let one = products(width, count, 1);
-    let each = WORK.div_ceil(one.iter().map(|[m, k, n]| m * k * n).sum());
-    let mut learners = [0; 2].map(|_| (learner(&config(width, count)), stream(1, Purpose::TargetNoise, 0)));
-    let batch = batch(count);
-    bencher.counter(items_count(&vec![one; 2 * each].concat())).bench_local(|| {
-        std::thread::scope(|scope| {
-            for (learner, noise) in &mut learners {
-                scope.spawn(|| (0..each).for_each(|_| _ = divan::black_box(learner.update(&batch, noise))));
-            }
-        });
-    });
 }
 
 #[divan::bench(args = [PAPER, FAST], sample_count = 40, sample_size = 1)]
@@ -113,52 +82,6 @@ fn a_large_product_by_hand(bencher: Bencher<'_, '_>) {
     bencher.counter(counter).bench_local(|| learner.act(&states)[0]);
 }
 
-/// Multiply-adds with all operands in registers, in enough independent sums to hide their latency.
-struct RegisterMultiplyAdds(usize);
-
-const SUMS: usize = 16;
-
-impl WithSimd for RegisterMultiplyAdds {
-    type Output = f32;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, simd: S) -> f32 {
-        let (factor, term) = divan::black_box((simd.splat_f32s(0.999), simd.splat_f32s(0.5)));
-        let mut sums = [simd.splat_f32s(1.0); SUMS];
-        for _ in 0..self.0 {
-            // A loop: a closure would not be compiled for the wide registers.
-            for sum in &mut sums {
-                *sum = simd.mul_add_f32s(*sum, factor, term);
-            }
-        }
-        let mut total = 0.0;
-        for sum in sums {
-            total += simd.reduce_sum_f32s(sum);
-        }
-        total
-    }
-}
-
-/// Number of elements of a vector register of this machine.
-struct SimdWidth;
-
-impl WithSimd for SimdWidth {
-    type Output = usize;
-
-    #[inline(always)]
-    fn with_simd<S: Simd>(self, _: S) -> usize {
-        S::F32_LANES
-    }
-}
-
-#[divan::bench(sample_count = 20, sample_size = 1)]
-fn multiply_adds_in_registers(bencher: Bencher<'_, '_>) {
-    const ROUNDS: usize = 1 << 20;
-    bencher
-        .counter(ItemsCount::new(2 * Arch::new().dispatch(SimdWidth) * SUMS * ROUNDS))
-        .bench_local(|| Arch::new().dispatch(RegisterMultiplyAdds(ROUNDS)));
-}
-
 #[divan::bench(args = [64, 256])]
 fn act_on_one_state(bencher: Bencher<'_, '_>, width: usize) {
     let (policy, seen, mut space) = (random_policy(width), observations(1), Workspace::default());
@@ -177,22 +100,4 @@ fn act_on_512_states(bencher: Bencher<'_, '_>, width: usize) {
             seen.iter().flat_map(|seen| policy.observe(seen, &mut FrameStack::default()).to_vec()).collect();
         policy.choose_batch(&rows, &mut space, &mut actions);
     });
-}
-
-/// Simulates 512 runs of the paper's distribution in a batch, with a decision at every step, without generating the
-/// scenarios.
-#[divan::bench(args = [64, 256], sample_count = 5, sample_size = 1)]
-fn lockstep_rollouts(bencher: Bencher<'_, '_>, width: usize) {
-    let policy = Arc::new(random_policy(width));
-    let draws: Vec<_> = (0..512).map(|i| PaperDistribution { seed: 1 }.draw(i).expect("valid")).collect();
-    let options = RunOptions::new(policy).with_estimator(EstimatorKind::Truth);
-    let runs: Vec<_> = draws.iter().map(|draw| Run::new(draw, options.clone()).expect("valid")).collect();
-    let steps = |index: usize, result: SimulationResult| match result.outcome.contact() {
-        Some(contact) => (contact.time_s / PAPER_STEP_S) as usize + 1,
-        None => draws[index].steps(),
-    };
-    let acts: usize = simulate_batch(&runs, RecordingLevel::Summary, steps).into_iter().sum();
-    bencher
-        .counter(ItemsCount::new(acts * acting_operations(width)))
-        .bench_local(|| simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome));
 }

@@ -102,17 +102,14 @@ struct BatchTensors {
 impl BatchTensors {
     fn new(batch: &Batch) -> Result<Self> {
         let n = batch.len();
-        let rows = |values: &[f32], width: usize| Tensor::from_slice(values, (n, width), &Device::Cpu);
+        let rows = |values: &[f32]| Tensor::from_slice(values, (n, values.len() / n.max(1)), &Device::Cpu);
         Ok(Self {
-            states: rows(&batch.states, batch.states.len() / batch.len().max(1))?,
-            actions: rows(&batch.actions, 1)?,
-            rewards: rows(&batch.rewards, 1)?,
-            next_states: rows(&batch.next_states, batch.next_states.len() / batch.len().max(1))?,
-            privileged: [
-                rows(&batch.privileged, batch.privileged.len() / batch.len().max(1))?,
-                rows(&batch.next_privileged, batch.next_privileged.len() / batch.len().max(1))?,
-            ],
-            continues: rows(&batch.continues, 1)?,
+            states: rows(&batch.states)?,
+            actions: rows(&batch.actions)?,
+            rewards: rows(&batch.rewards)?,
+            next_states: rows(&batch.next_states)?,
+            privileged: [rows(&batch.privileged)?, rows(&batch.next_privileged)?],
+            continues: rows(&batch.continues)?,
         })
     }
 }
@@ -125,13 +122,10 @@ impl ReferenceLearner {
     /// # Errors
     /// Errors of candle.
     pub fn new(learner: &Learner, learning: &LearningConfig, td3: &Td3Config) -> Result<Self> {
+        let critics = learner.critics.iter().map(|critic| NetworkWithTarget::new(critic, learning.critic_rate));
         Ok(Self {
             actor: NetworkWithTarget::new(&learner.actor, learning.actor_rate)?,
-            critics: learner
-                .critics
-                .iter()
-                .map(|c| NetworkWithTarget::new(c, learning.critic_rate))
-                .collect::<Result<_>>()?,
+            critics: critics.collect::<Result<_>>()?,
             learning: learning.clone(),
             td3: td3.clone(),
             updates: 0,

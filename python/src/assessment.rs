@@ -1,6 +1,5 @@
 //! Assessments of controllers.
 
-use std::borrow::Cow;
 use std::path::{Path, PathBuf};
 
 use crumple_core::observer::RunProgress;
@@ -128,13 +127,13 @@ fn read_config(
     path: Option<&Path>,
     toml: Option<String>,
     json: Option<String>,
-) -> PyResult<(AssessConfig, Cow<'static, Path>)> {
-    let here = Cow::Borrowed(Path::new(""));
+) -> PyResult<(AssessConfig, PathBuf)> {
+    let here = PathBuf::new();
     let of_file = |error| errors::file_exception(py, ExceptionClass::Assessment, &error);
     if let Some(path) = path {
         let text = file::read(path).map_err(of_file)?;
         let folder = path.parent().unwrap_or(Path::new("")).to_owned();
-        return Ok((file::parse_toml(&text, path).map_err(of_file)?, Cow::Owned(folder)));
+        return Ok((file::parse_toml(&text, path).map_err(of_file)?, folder));
     }
     if let Some(text) = toml {
         return Ok((file::parse_toml(&text, Path::new("<toml>")).map_err(of_file)?, here));
@@ -147,7 +146,7 @@ fn config_exception(py: Python<'_>, error: &AssessConfigError) -> PyErr {
     match error {
         AssessConfigError::File(error) => errors::file_exception(py, ExceptionClass::Assessment, error),
         AssessConfigError::Field { path, line, field, .. } => {
-            errors::exception_at(py, ExceptionClass::Assessment, error, (path, *line, field))
+            errors::exception_at(py, ExceptionClass::Assessment, error, (Some(path), Some(*line), Some(field)))
         }
         other => errors::exception(py, ExceptionClass::Assessment, other),
     }

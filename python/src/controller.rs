@@ -41,16 +41,15 @@ impl PyObservation {
 
 impl PyObservation {
     fn new(seen: &Seen) -> Self {
-        let of = |vehicle: Option<Neighbour>, take: fn(Neighbour) -> f64| vehicle.map(take);
         Self {
             speed_mps: seen.speed_mps,
             acceleration_mps2: seen.acceleration_mps2,
-            gap_ahead_m: of(seen.ahead, |ahead| ahead.gap_m),
-            speed_ahead_mps: of(seen.ahead, |ahead| ahead.speed_mps),
-            acceleration_ahead_mps2: of(seen.ahead, |ahead| ahead.acceleration_mps2),
-            gap_behind_m: of(seen.behind, |behind| behind.gap_m),
-            speed_behind_mps: of(seen.behind, |behind| behind.speed_mps),
-            acceleration_behind_mps2: of(seen.behind, |behind| behind.acceleration_mps2),
+            gap_ahead_m: seen.ahead.map(|ahead| ahead.gap_m),
+            speed_ahead_mps: seen.ahead.map(|ahead| ahead.speed_mps),
+            acceleration_ahead_mps2: seen.ahead.map(|ahead| ahead.acceleration_mps2),
+            gap_behind_m: seen.behind.map(|behind| behind.gap_m),
+            speed_behind_mps: seen.behind.map(|behind| behind.speed_mps),
+            acceleration_behind_mps2: seen.behind.map(|behind| behind.acceleration_mps2),
         }
     }
 
@@ -93,13 +92,13 @@ pub(crate) fn resolve_controller(controller: &Bound<'_, PyAny>, stop: &StopFlag)
     if interval_s.is_some_and(|interval_s| !(interval_s > 0.0 && interval_s.is_finite())) {
         return Err(PyValueError::new_err("interval_s must be a positive number of seconds, or None"));
     }
-    let way = match (controller.getattr("batch")?.is_truthy()?, controller.getattr("each_run")?.is_truthy()?) {
+    let mode = match (controller.getattr("batch")?.is_truthy()?, controller.getattr("each_run")?.is_truthy()?) {
         (false, false) => CallMode::Single,
         (true, false) => CallMode::Batch,
         (false, true) => CallMode::PerRun,
         (true, true) => return Err(PyValueError::new_err("a batch has no run of its own: choose batch or each_run")),
     };
-    let called = Arc::new(PythonCallable { decide: decide.unbind(), mode: way, stop: stop.clone() });
+    let called = Arc::new(PythonCallable { decide: decide.unbind(), mode, stop: stop.clone() });
     let identity = controller.getattr("identity")?.extract()?;
     let name: String = controller.getattr("name")?.extract()?;
     Ok(NamedController::from_source(&name, Arc::new(PythonSource { callable: called, interval_s, identity })))

@@ -68,21 +68,9 @@ struct SubEnvironment {
     is_over: bool,
 }
 
-/// Destination of the results of one sub-environment's step.
-struct StepBuffers<'a> {
-    state: &'a mut [f32],
-    last_state: &'a mut [f32],
-    reward: &'a mut f32,
-    terminated: &'a mut bool,
-    truncated: &'a mut bool,
-    ending: &'a mut u8,
-}
-
-/// Sub-environment, action, state and last state, reward, and the three flags of the ending.
-type StepRow<'a> = (
-    ((&'a mut SubEnvironment, &'a f32), (&'a mut [f32], &'a mut [f32])),
-    (&'a mut f32, ((&'a mut bool, &'a mut bool), &'a mut u8)),
-);
+/// Destination of the results of one sub-environment's step: state and last state; reward, and whether the episode was
+/// terminated or truncated, with the code of its ending.
+type StepBuffers<'a> = ((&'a mut [f32], &'a mut [f32]), (&'a mut f32, ((&'a mut bool, &'a mut bool), &'a mut u8)));
 
 impl SubEnvironment {
     fn reset(&mut self, task: &EpisodeTask, state: &mut [f32]) -> Result<(), String> {
@@ -105,7 +93,7 @@ impl SubEnvironment {
     }
 
     fn step(&mut self, task: &EpisodeTask, action: f32, results: StepBuffers<'_>) -> Result<(), String> {
-        let StepBuffers { state, last_state, reward, terminated, truncated, ending } = results;
+        let ((state, last_state), (reward, ((terminated, truncated), ending))) = results;
         (*reward, *terminated, *truncated, *ending) = (0.0, false, false, 0);
         if self.is_over && task.autoreset == Autoreset::NextStep {
             return self.reset(task, state);
@@ -158,16 +146,14 @@ impl Episodes {
         autoreset: &str,
     ) -> PyResult<Self> {
         if !(1..=MAX_EPISODES).contains(&count) {
-            return Err(PyValueError::new_err(format!(
-                "there must be 1 to {MAX_EPISODES} environments, found {count}"
-            )));
+            let problem = format!("there must be 1 to {MAX_EPISODES} environments, found {count}");
+            return Err(PyValueError::new_err(problem));
         }
+        let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Training, &error.to_string());
         let config = load_training_config(py, preset)?;
         let source: Arc<dyn ScenarioSource> = match space {
             Some(space) => Arc::new(space.0.clone()),
-            None => {
-                config.scenario_source().map_err(|error| errors::exception(py, ExceptionClass::Training, &error))?
-            }
+            None => config.scenario_source().map_err(|error| wrong(&error))?,
         };
         let mut environment = config.environment;
         if let Some(estimator) = estimator {
@@ -178,7 +164,7 @@ impl Episodes {
         let autoreset = parse_choice("autoreset", autoreset, &known)?;
         let constants = EpisodeConstants::new(environment, config.learning.discount);
         let task = EpisodeTask { source, config: constants, autoreset };
-        task.new_episode(0, 0).map_err(|error| errors::exception(py, ExceptionClass::Training, &error))?;
+        task.new_episode(0, 0).map_err(|error| wrong(&error))?;
         let lane = |seed| SubEnvironment { seed, next_index: 0, episode: None, is_over: false };
         Ok(Self { task, sub_environments: Mutex::new((0..count as u64).map(lane).collect()) })
     }
@@ -225,12 +211,8 @@ impl Episodes {
                 lane.reset(&self.task, state)
             };
             if pool.current_num_threads() == 1 {
-                return lanes
-                    .iter_mut()
-                    .zip(states.chunks_exact_mut(STATE_LEN))
-                    .zip(mask)
-                    .enumerate()
-                    .try_for_each(begin);
+                let mut rows = lanes.iter_mut().zip(states.chunks_exact_mut(STATE_LEN)).zip(mask).enumerate();
+                return rows.try_for_each(begin);
             }
             let rows = lanes.par_iter_mut().zip(states.par_chunks_exact_mut(STATE_LEN)).zip(mask).enumerate();
             pool.install(|| rows.with_min_len(MIN_EPISODES_PER_THREAD).try_for_each(begin))
@@ -266,21 +248,19 @@ impl Episodes {
             if let Some((index, why)) = refused.next() {
                 return Err(format!("environment {index}: {why}"));
             }
-            let step =
-                |(((lane, action), (state, last_state)), (reward, ((terminated, truncated), ending))): StepRow<'_>| {
-                    let results = StepBuffers { state, last_state, reward, terminated, truncated, ending };
-                    lane.step(&self.task, *action, results)
-                };
+            let step = |((lane, action), results): ((&mut SubEnvironment, &f32), StepBuffers<'_>)| {
+                lane.step(&self.task, *action, results)
+            };
             // Passing all work to a single other thread would take a tenth of the step's time.
             if pool.current_num_threads() == 1 {
                 let states = states.chunks_exact_mut(STATE_LEN).zip(last_states.chunks_exact_mut(STATE_LEN));
                 let ends = terminated.iter_mut().zip(truncated).zip(endings);
-                let mut rows = lanes.iter_mut().zip(actions).zip(states).zip(rewards.iter_mut().zip(ends));
-                return rows.try_for_each(step);
+                let results = states.zip(rewards.iter_mut().zip(ends));
+                return lanes.iter_mut().zip(actions).zip(results).try_for_each(step);
             }
             let states = states.par_chunks_exact_mut(STATE_LEN).zip(last_states.par_chunks_exact_mut(STATE_LEN));
             let ends = terminated.par_iter_mut().zip(truncated).zip(endings);
-            let rows = lanes.par_iter_mut().zip(actions).zip(states).zip(rewards.par_iter_mut().zip(ends));
+            let rows = lanes.par_iter_mut().zip(actions).zip(states.zip(rewards.par_iter_mut().zip(ends)));
             pool.install(|| rows.with_min_len(MIN_EPISODES_PER_THREAD).try_for_each(step))
         })
         .map_err(|error| errors::exception(py, ExceptionClass::Training, &error))

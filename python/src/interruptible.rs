@@ -9,7 +9,6 @@ use std::time::Duration;
 
 use pyo3::exceptions::PyRuntimeError;
 use pyo3::prelude::*;
-use pyo3::types::PyTuple;
 
 use crate::threads;
 
@@ -39,15 +38,8 @@ pub(crate) type ProgressCounts = (u64, u64, u64);
 /// Work in progress, and the condition that signals its end.
 static ACTIVE_WORK: (Mutex<Vec<StopFlag>>, Condvar) = (Mutex::new(Vec::new()), Condvar::new());
 
-/// Guard that registers work in progress until it is dropped.
+/// Guard that removes work from [`ACTIVE_WORK`] when it is dropped.
 struct ActiveWork(StopFlag);
-
-impl ActiveWork {
-    fn register(stop: &StopFlag) -> Self {
-        ACTIVE_WORK.0.lock().unwrap_or_else(PoisonError::into_inner).push(stop.clone());
-        Self(stop.clone())
-    }
-}
 
 impl Drop for ActiveWork {
     fn drop(&mut self) {
@@ -82,7 +74,8 @@ pub(crate) fn run_interruptible<T: Send>(
         return Err(PyRuntimeError::new_err("a controller cannot begin simulations of its own while it drives"));
     }
     let pool = threads::pool()?;
-    let _under_way = ActiveWork::register(stop);
+    ACTIVE_WORK.0.lock().unwrap_or_else(PoisonError::into_inner).push(stop.clone());
+    let _under_way = ActiveWork(stop.clone());
     let (text, heard) = mpsc::channel::<ProgressCounts>();
     py.detach(move || {
         thread::scope(|scope| {
@@ -99,9 +92,10 @@ pub(crate) fn run_interruptible<T: Send>(
             loop {
                 // The channel closes when the work is done.
                 let looked = match heard.recv_timeout(SIGNAL_CHECK_INTERVAL) {
-                    Ok(state) => {
-                        Python::attach(|py| report_progress(py, progress, state).and_then(|()| py.check_signals()))
-                    }
+                    Ok(counts) => Python::attach(|py| {
+                        progress.map_or(Ok(()), |progress| progress.call1(py, counts).map(drop))?;
+                        py.check_signals()
+                    }),
                     Err(RecvTimeoutError::Timeout) => Python::attach(|py| py.check_signals()),
                     Err(RecvTimeoutError::Disconnected) => break,
                 };
@@ -116,13 +110,4 @@ pub(crate) fn run_interruptible<T: Send>(
             raised.map_or(Ok(done), Err)
         })
     })
-}
-
-fn report_progress(
-    py: Python<'_>,
-    progress: Option<&Py<PyAny>>,
-    (done, total, failures): ProgressCounts,
-) -> PyResult<()> {
-    let Some(progress) = progress else { return Ok(()) };
-    progress.call1(py, PyTuple::new(py, [done, total, failures])?).map(|_| ())
 }

@@ -29,25 +29,18 @@ mod _crumple {
     use pyo3::prelude::*;
 
     #[pymodule_export]
-    use crate::assessment::{PyAssessment, assess};
-    #[pymodule_export]
-    use crate::campaign::falsify;
-    #[pymodule_export]
-    use crate::controller::{PyObservation, allow_external};
-    #[pymodule_export]
-    use crate::episodes::{Episodes, training_preset};
-    #[pymodule_export]
-    use crate::figure::PyFigure;
-    #[pymodule_export]
-    use crate::monitor::monitor;
-    #[pymodule_export]
-    use crate::rate::rate;
-    #[pymodule_export]
-    use crate::scenario::{PyScenario, PySpace};
-    #[pymodule_export]
-    use crate::simulation::{PyTrace, PyTrack, Simulation, simulate};
-    #[pymodule_export]
-    use crate::worst_case::worst_case;
+    use crate::{
+        assessment::{PyAssessment, assess},
+        campaign::falsify,
+        controller::{PyObservation, allow_external},
+        episodes::{Episodes, training_preset},
+        figure::PyFigure,
+        monitor::monitor,
+        rate::rate,
+        scenario::{PyScenario, PySpace},
+        simulation::{PyTrace, PyTrack, Simulation, simulate},
+        worst_case::worst_case,
+    };
 
     /// Only the same build resumes incomplete work. The build is identified by this library, not by the interpreter.
     #[pymodule_init]

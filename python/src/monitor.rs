@@ -1,6 +1,6 @@
 //! Robustness of STL formulas on arrays.
 
-use crumple_world::measure::stl::{Formula, MonitorError, SampledSignals, SignalsError};
+use crumple_world::measure::stl::{Formula, SampledSignals};
 use numpy::{PyArray1, PyArray2, PyArrayMethods, PyReadonlyArray2};
 use pyo3::prelude::*;
 use rayon::prelude::*;
@@ -15,13 +15,7 @@ const TRACES_PER_BATCH: usize = 1024;
 const MAX_INLINE_SAMPLES: usize = 1 << 16;
 
 /// Reason why a formula has no robustness on some signals.
-#[derive(Debug, thiserror::Error)]
-enum RobustnessError {
-    #[error(transparent)]
-    Signals(#[from] SignalsError),
-    #[error(transparent)]
-    Monitor(#[from] MonitorError),
-}
+type RobustnessError = Box<dyn std::error::Error + Send + Sync>;
 
 /// Signals of several traces: one row for every trace, or one shared row.
 struct SignalRows<'a> {
@@ -64,9 +58,8 @@ pub(crate) fn monitor<'py>(
     for (name, values) in names.iter().zip(&signals) {
         let [rows, columns] = [values.as_array().nrows(), values.as_array().ncols()];
         if columns != samples || !(rows == 1 || rows == traces) {
-            return Err(wrong(&format!(
-                "signal `{name}` has {rows} rows of {columns} samples: there are {traces} traces of {samples}"
-            )));
+            let found = format!("signal `{name}` has {rows} rows of {columns} samples");
+            return Err(wrong(&format!("{found}: there are {traces} traces of {samples}")));
         }
         named.push((name.as_str(), values.as_slice()?, rows == 1));
     }

@@ -33,21 +33,19 @@ impl PyScenario {
     /// Loads a scenario from a file.
     #[staticmethod]
     fn load(py: Python<'_>, path: PathBuf) -> PyResult<Self> {
-        file::load(&path).map(Self).map_err(|error| errors::file_exception(py, ExceptionClass::Scenario, &error))
+        Self::from_read(py, file::load(&path))
     }
 
     /// Parses a scenario from TOML.
     #[staticmethod]
     fn from_toml(py: Python<'_>, text: &str) -> PyResult<Self> {
-        let read = file::from_toml(text, Path::new("<toml>"));
-        read.map(Self).map_err(|error| errors::file_exception(py, ExceptionClass::Scenario, &error))
+        Self::from_read(py, file::from_toml(text, Path::new("<toml>")))
     }
 
     /// Parses a scenario from JSON.
     #[staticmethod]
     fn from_json(py: Python<'_>, text: &str) -> PyResult<Self> {
-        let read = file::from_json(text, Path::new("<dict>"));
-        read.map(Self).map_err(|error| errors::file_exception(py, ExceptionClass::Scenario, &error))
+        Self::from_read(py, file::from_json(text, Path::new("<dict>")))
     }
 
     #[getter]
@@ -88,6 +86,12 @@ impl PyScenario {
 
     fn __repr__(&self) -> String {
         format!("<crumple.Scenario {:?}, {} vehicles>", self.name(), self.0.vehicles().len())
+    }
+}
+
+impl PyScenario {
+    fn from_read(py: Python<'_>, read: Result<world::Scenario, file::FileError>) -> PyResult<Self> {
+        read.map(Self).map_err(|error| errors::file_exception(py, ExceptionClass::Scenario, &error))
     }
 }
 

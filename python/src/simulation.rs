@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::Scenario;
 use crumple_world::sim::{
     self, AfterContact, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch,
 };
@@ -106,7 +107,7 @@ impl PyTrace {
 /// Result of a run.
 #[pyclass(frozen, module = "crumple")]
 pub(crate) struct Simulation {
-    scenario: crumple_world::scenario::Scenario,
+    scenario: Scenario,
     controller: Arc<str>,
     options: RunOptions,
     result: SimulationResult,
@@ -196,13 +197,10 @@ impl Simulation {
 
 impl Simulation {
     fn native_trace(&self, py: Python<'_>) -> PyResult<sim::Trace> {
+        let missing = "the simulation kept no trace: simulate with trace=True";
         match &self.trace {
             Some(trace) => trace.get().to_native(py),
-            None => Err(errors::exception(
-                py,
-                ExceptionClass::Run,
-                &"the simulation kept no trace: simulate with trace=True",
-            )),
+            None => Err(errors::exception(py, ExceptionClass::Run, &missing)),
         }
     }
 }
@@ -228,14 +226,11 @@ pub(crate) fn simulate(
         .with_after_contact(parse_choice("after_contact", after_contact, &known)?);
     options.dt_s = dt_s;
     let scenarios: Vec<_> = scenarios.iter().map(|scenario| scenario.0.clone()).collect();
-    let runs: Vec<Run> = scenarios
-        .iter()
-        .map(|scenario| {
-            Run::new(scenario, options.clone()).map_err(|error| {
-                errors::exception(py, ExceptionClass::Run, &format!("{}: {error}", scenario.spec().name))
-            })
-        })
-        .collect::<PyResult<_>>()?;
+    let run = |scenario: &Scenario| {
+        let wrong = |error| errors::exception(py, ExceptionClass::Run, &format!("{}: {error}", scenario.spec().name));
+        Run::new(scenario, options.clone()).map_err(wrong)
+    };
+    let runs = scenarios.iter().map(run).collect::<PyResult<Vec<_>>>()?;
     let keep = if trace { RecordingLevel::Trace } else { RecordingLevel::Summary };
     let results = run_interruptible(py, &stop, progress.as_ref(), |say| {
         let (mut results, mut failures) = (Vec::with_capacity(runs.len()), 0);

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Instant;
 
-use clap::Args;
+use clap::{Args, value_parser};
 use crumple_evidence::{CruisePlan, CruiseProof, CruiseSamples};
 use crumple_verify::{ProvedClaim, WorkLimit, check_with};
 use crumple_world::network::NetworkFile;
@@ -29,20 +29,10 @@ pub(super) struct AccBenchmark {
     #[arg(long, value_name = "F")]
     network: PathBuf,
     /// Number of parts into which the initial D_rel is divided: 1 to 10 000
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = DEFAULT_CELLS,
-        value_parser = clap::value_parser!(u32).range(1..=10_000)
-    )]
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_CELLS, value_parser = value_parser!(u32).range(1..=10_000))]
     cells: u32,
     /// Random initial states to simulate in addition to the corners of the box: 1 to 10 000 000
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 20_000,
-        value_parser = clap::value_parser!(u32).range(1..=10_000_000)
-    )]
+    #[arg(long, value_name = "N", default_value_t = 20_000, value_parser = value_parser!(u32).range(1..=10_000_000))]
     samples: u32,
     /// Seed of the random initial states
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -61,7 +51,7 @@ const DEFAULT_CELLS: u32 = 16;
 /// Loads the network of the benchmark.
 pub(super) fn load_network(path: &Path) -> Result<CruisePlan, CliError> {
     let file = NetworkFile::load(path).map_err(CliError::input)?;
-    CruisePlan::new(file).map_err(|error| CliError::Input(format!("{}: {error}", path.display())))
+    CruisePlan::new(file).map_err(|error| CliError::at(path, error))
 }
 
 impl AccBenchmark {

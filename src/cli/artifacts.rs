@@ -40,18 +40,14 @@ impl ArtifactArgs {
         replay: impl FnOnce() -> Result<SimulationResult, CliError>,
     ) -> Result<(), CliError> {
         if let Some(path) = &self.out {
-            files.stage(
-                &output::resolve_output_path(path)?,
-                file::to_toml(scenario).map_err(CliError::input)?.as_bytes(),
-            )?;
+            let text = file::to_toml(scenario).map_err(CliError::input)?;
+            files.stage(&output::resolve_output_path(path)?, text.as_bytes())?;
         }
         if let Some(path) = &self.plot {
             let run = replay()?;
             if let Some(trace) = &run.trace {
-                files.stage(
-                    &output::resolve_output_path(path)?,
-                    &simulate::render_motion_figure(path, scenario, driver, trace, &run.impacts)?,
-                )?;
+                let figure = simulate::render_motion_figure(path, scenario, driver, trace, &run.impacts)?;
+                files.stage(&output::resolve_output_path(path)?, &figure)?;
             }
         }
         Ok(())

@@ -23,27 +23,33 @@ use crumple_store::shard::{MissingShards, ShardId};
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
 #[derive(Args)]
 #[command(after_long_help = "\
-Without a file, `assess` evaluates every built-in controller, the policy behind a shield and the retrained policy. \
-It simulates the paper's scenarios and 1000 random scenarios of the paper's distribution, searches for failures, and \
-finds the mildest lead braking that makes each controller collide (see worst-case). For each scenario it finds the \
-best escape (see avoid), and it checks all certificates. A file configures more:
+Without a file, `assess` evaluates baseline, baseline-unlatched, match-leader, constant-brake, idm, acc-aeb, policy, \
+shield:policy and retrained. It simulates the paper's scenarios and 1000 random scenarios of the paper's \
+distribution, searches for failures, and finds the mildest braking of the leader that makes each controller collide \
+(see worst-case). For each scenario it finds the best escape (see avoid), and it checks all certificates. A file \
+configures more:
 
   version = 1
   controllers = [\"baseline\", \"policy\"]   # the first is compared with all others
   subject = \"policy\"                       # the safety case is about this controller
   estimator = \"kalman\"
-  paper = true                             # false omits the paper's scenarios, profiles, maps, training and space
+  # false omits the paper's scenarios, profiles, maps, training and space
+  paper = true
   distributions = [\"paper\"]               # spaces in which failures are counted
   draws = 1000                             # random scenarios of each of these spaces
   everyday_draws = 200                     # random scenarios of `traffic` and of `high-risk`
   seed = 0
-  scenarios = [\"episodes\"]                 # scenario files and folders of scenario files, relative to this file
-  recordings = [\"platoon.csv\"]             # recordings whose braking episodes become scenarios (see import)
+  # scenario files and folders of scenario files, relative to this file
+  scenarios = [\"episodes\"]
+  # recordings whose braking episodes become scenarios (see import)
+  recordings = [\"platoon.csv\"]
   search = { spaces = [\"paper\", \"high-risk\"], budget = 400 }
-  suites = [{ suite = \"fmvss-127\", controllers = [\"policy\"] }]   # at most 20 (see suite list)
+  # suites of tests, at most 20 (see suite list)
+  suites = [{ suite = \"fmvss-127\", controllers = [\"policy\"] }]
   rates = { runs = 4000, confidence = 0.999 }
   certificates = [\"escape.json\"]           # certificates to check
-  [[gates]]                                # a condition; the exit code is 1 if it does not hold
+  # a condition; the exit code is 1 if it does not hold
+  [[gates]]
   require = \"rate-not-above\"
   controller = \"policy\"
   than = \"baseline\"
@@ -111,13 +117,10 @@ impl Assess {
         }
         let source = self.config.as_deref().and_then(Path::parent).unwrap_or(Path::new(""));
         let evidence_folder = self.out.join(EVIDENCE_FOLDER);
-        let resume_hint = if self.fresh {
-            "the same command without --fresh resumes the assessment"
-        } else {
-            "the same command resumes the assessment"
-        };
+        let fresh = if self.fresh { " without --fresh" } else { "" };
+        let evidence = evidence_folder.display();
         interrupt::set_exit_message(
-            format!("the evidence computed so far is in {}: {resume_hint}", evidence_folder.display()),
+            format!("the evidence computed so far is in {evidence}: the same command{fresh} resumes the assessment"),
             quiet,
         );
         let (identity, begun) = (program::identity()?, Instant::now());
@@ -134,16 +137,15 @@ impl Assess {
         folder.check(&["assessment.html", "assessment.json", "assessment.md"])?;
         let cache = EvidenceCache::open(&evidence_folder, identity, self.fresh)?;
         if let Some(unknown) = plan.first_without_identity() {
-            let note = format!(
-                "note: `{}` states no identity, so the next assessment cannot reuse this evidence",
-                unknown.name
+            let name = &unknown.name;
+            output::note(
+                &format!("note: `{name}` states no identity, so the next assessment cannot reuse this evidence"),
+                quiet,
             );
-            output::note(&note, quiet);
         }
         let bar = progress::run_bar("assessing", plan.runs(), quiet);
-        let assessment = assess(&plan, &cache, against.as_ref(), &progress::bar_observer(&bar))?;
+        let assessment = progress::show(&bar, |observer| assess(&plan, &cache, against.as_ref(), observer))?;
         let assessment = assessment.with_run_info(run_info(source, identity, begun.elapsed()));
-        bar.finish_and_clear();
         folder.write(&assessment.files().map_err(CliError::input)?, EarlierFiles::Replace)?;
         let (pieces, reused) = cache.reuse_counts();
         let reuse_note =
@@ -169,9 +171,7 @@ impl Assess {
         };
         CliError::gate_first(gate, printed)
     }
-}
 
-impl Assess {
     fn gather(&self, plan: &AssessmentPlan, shard: ShardId, quiet: bool) -> Result<(), CliError> {
         let out = self.out.display();
         interrupt::set_exit_message(
@@ -179,9 +179,8 @@ impl Assess {
             quiet,
         );
         let bar = progress::counter("computing evidence", quiet);
-        let gathered = gather_shard(plan, shard, &self.out, program::identity()?, &progress::bar_observer(&bar));
-        bar.finish_and_clear();
-        let pieces = gathered?;
+        let program = program::identity()?;
+        let pieces = progress::show(&bar, |observer| gather_shard(plan, shard, &self.out, program, observer))?;
         let message = "`crumple merge` combines the shards";
         let gathered = EvidenceShardReport { pieces, folder: out.to_string(), shard };
         let words = || format!("{pieces} pieces of evidence\n{out}: shard {shard}; {message}\n");
@@ -243,16 +242,12 @@ fn check_no_symlinks(out: &Path) -> Result<(), CliError> {
 /// Checks that neither a folder nor any folder below it is a symbolic link. Ignores a path that is no folder.
 fn ensure_no_symlinks(folder: &Path) -> Result<(), CliError> {
     if folder.is_symlink() && !folder.is_file() {
-        return Err(symlink_error(folder));
+        let problem = "is a symbolic link, and `assess` writes and removes files only inside the report folder: \
+                       remove the link, or use another --out";
+        return Err(CliError::at(folder, problem));
     }
     let entries = if folder.is_dir() { fs::read_dir(folder).map_err(DiskError::at(folder))? } else { return Ok(()) };
     entries.flatten().try_for_each(|entry| ensure_no_symlinks(&entry.path()))
-}
-
-fn symlink_error(folder: &Path) -> CliError {
-    let problem = "is a symbolic link, and `assess` writes and removes files only inside the report folder: remove the \
-                   link, or use another --out";
-    CliError::Input(format!("{}: {problem}", folder.display()))
 }
 
 /// Returns the commit of the repository of the assessed files, with a mark if files differ from it; `None` without a

@@ -9,7 +9,8 @@ use serde::Serialize;
 
 use super::artifacts::ArtifactArgs;
 use super::output;
-use super::{CliError, args, value_enums};
+use super::value_enums::{ESCAPES, one_of};
+use super::{CliError, args};
 use crumple_core::quoting::TerminalText;
 use crumple_search::worst_case::{
     AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Escape, EscapeKind, FoundBy, Optimality,
@@ -61,12 +62,7 @@ pub(super) struct Avoid {
     grid: Option<f64>,
     /// Escape to show; the verdict does not depend on it. Only the search for the largest gap covers all trigger times
     /// of the follower's emergency brake and simulates other controllers in the loop
-    #[arg(
-        long,
-        value_name = "ESCAPE",
-        default_value = "largest-gap",
-        value_parser = value_enums::one_of(value_enums::ESCAPES)
-    )]
+    #[arg(long, value_name = "ESCAPE", default_value = "largest-gap", value_parser = one_of(ESCAPES))]
     escape: EscapeKind,
     /// Write the certificate of the escape or of the proof, for `crumple check`; replaces an existing file
     #[arg(long, value_name = "F.json")]
@@ -141,19 +137,12 @@ impl Avoid {
         files: &mut StagedFiles,
     ) -> Result<(), CliError> {
         if let Some(path) = &self.certificate {
-            stage_certificate(
-                path,
-                verdict_certificate(family, avoidance).map_err(|reason| reason.to_string()),
-                files,
-            )?;
+            let certificate = verdict_certificate(family, avoidance).map_err(|reason| reason.to_string());
+            stage_certificate(path, certificate, files)?;
         }
         if let Some(path) = &self.bound_certificate {
-            let certificate = avoidance.bound_certificate.as_deref().cloned();
-            stage_certificate(
-                path,
-                certificate.ok_or_else(|| "no upper bound on the gap of an escape was proved".to_owned()),
-                files,
-            )?;
+            let none = || "no upper bound on the gap of an escape was proved".to_owned();
+            stage_certificate(path, avoidance.bound_certificate.as_deref().cloned().ok_or_else(none), files)?;
         }
         Ok(())
     }

@@ -3,7 +3,7 @@
 use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
-use clap::{Args, Subcommand};
+use clap::{Args, Subcommand, value_parser};
 
 use super::acc_benchmark::AccBenchmark;
 use super::simulate::OutputFormat;
@@ -40,18 +40,13 @@ struct ChasingCars {
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
     /// Maximum number of evaluations of a run: 1 to 1 000 000
-    #[arg(long, value_name = "N", default_value_t = 1500, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 1500, value_parser = value_parser!(u32).range(1..=1_000_000))]
     budget: u32,
     /// Runs of each specification, with successive seeds: 1 to 10 000
-    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = value_parser!(u32).range(1..=10_000))]
     seeds: u32,
     /// First seed
-    #[arg(
-        long,
-        value_name = "S",
-        default_value_t = 0,
-        value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64)
-    )]
+    #[arg(long, value_name = "S", default_value_t = 0, value_parser = value_parser!(u64).range(..=i64::MAX as u64))]
     seed: u64,
     /// Folder for the counterexamples, new or empty; crumple reads each file back and checks it
     #[arg(long, value_name = "DIR")]

@@ -123,15 +123,12 @@ impl Check {
         let policy = self.policy_bytes(certificate, path)?;
         let (file, limit) = (path.display().to_string(), WorkLimit::from_billions(self.work_limit));
         let mut report = CertificateReport::check(file, certificate, policy.as_deref(), limit)
-            .map_err(|refused| CliError::Input(format!("{}: {refused}", path.display())))?;
-        report.counts = match (&report.accepted, self.rerun) {
-            (Ok(ProvedClaim::Rate { .. } | ProvedClaim::FailsLessOften { .. }), Some(percent)) => {
-                Some(self.rerun_counts(path, certificate, percent, quiet)?)
-            }
-            (Ok(ProvedClaim::Rate { .. } | ProvedClaim::FailsLessOften { .. }), None) => {
-                Some(CountsStatus::Unconfirmed)
-            }
-            _ => None,
+            .map_err(|refused| CliError::at(path, refused))?;
+        let is_count = matches!(report.accepted, Ok(ProvedClaim::Rate { .. } | ProvedClaim::FailsLessOften { .. }));
+        report.counts = match self.rerun {
+            _ if !is_count => None,
+            Some(percent) => Some(self.rerun_counts(path, certificate, percent, quiet)?),
+            None => Some(CountsStatus::Unconfirmed),
         };
         report.covers_scenario = scenario.map(|scenario| {
             check_covers_scenario(certificate, scenario, policy.as_deref()).map_err(|elsewhere| elsewhere.to_string())
@@ -146,14 +143,13 @@ impl Check {
         percent: f64,
         quiet: bool,
     ) -> Result<CountsStatus, CliError> {
-        let cannot = |error: RerunError| CliError::Input(format!("{}: {error}", path.display()));
+        let cannot = |error: RerunError| CliError::at(path, error);
         let rerun = Rerun::new(certificate, &self.controller).map_err(cannot)?;
         // The hash keys of a new table are random, so the seed was unknown when the certificate was made.
         let seed = self.rerun_seed.unwrap_or_else(|| RandomState::new().hash_one(certificate.digest()));
         let sample = if percent < 100.0 { BlockSelection::Sample { percent, seed } } else { BlockSelection::All };
         let bar = progress::run_bar("repeating runs", rerun.run_count(sample), quiet);
-        let counted = rerun.confirm(sample, &progress::bar_observer(&bar));
-        bar.finish_and_clear();
+        let counted = progress::show(&bar, |observer| rerun.confirm(sample, observer));
         match counted {
             Ok(confirmation) => Ok(CountsStatus::Confirmed { confirmation, seed: (percent < 100.0).then_some(seed) }),
             Err(refuted @ RerunError::Refuted { .. }) => Ok(CountsStatus::Refuted { because: refuted.to_string() }),
@@ -228,14 +224,14 @@ fn is_network_source(path: &Path) -> bool {
 
 fn load_certificate(path: &Path) -> Result<Certificate, CliError> {
     if let Some(what) = file_kind::detect(path) {
-        return Err(CliError::Input(format!("{}: is not a certificate, but {what}", path.display())));
+        return Err(CliError::at(path, format!("is not a certificate, but {what}")));
     }
     let file = File::open(path).map_err(|source| CliError::from_read_error(path.to_owned(), source))?;
     Certificate::from_reader(file).map_err(|error| match error {
         CertificateParseError::Read(source) if source.kind() == ErrorKind::InvalidData => {
-            CliError::Input(format!("{}: is not a certificate: it is not UTF-8 text", path.display()))
+            CliError::at(path, "is not a certificate: it is not UTF-8 text")
         }
         CertificateParseError::Read(source) => CliError::from_read_error(path.to_owned(), source),
-        other => CliError::Input(format!("{}: {other}", path.display())),
+        other => CliError::at(path, other),
     })
 }

@@ -121,9 +121,7 @@ impl Describe {
         let words = || format!("{}{}", description.comments(), description.controller_file);
         output::print_result(self.format, &description, words)
     }
-}
 
-impl Describe {
     /// Returns the error for a file that is not a network, with a note if crumple can drive with it directly.
     fn not_a_network_error(&self, error: &NetworkError) -> CliError {
         let place = self.file.display();
@@ -132,6 +130,9 @@ impl Describe {
             Some(what) => CliError::Input(format!("{place}: is not an imported network, but {what}")),
             None if names_no_network && is_controller(&self.file) => CliError::Input(format!(
                 "{place}: is not an imported network, but a controller: use it with --controller of other commands"
+            )),
+            None if names_no_network => CliError::Input(format!(
+                "{place}: `describe` takes a network (.onnx, or .zip for a model of Stable-Baselines3) or an FMU (.fmu)"
             )),
             None => CliError::input(error),
         }

@@ -89,7 +89,7 @@ impl DoctorReport {
         text += "  crumple needs nothing else; optional programs:\n";
         for Dependency { name, found, used_for, install } in &self.needs {
             let there = found.as_ref().map_or_else(|| format!("not found: {install}"), Clone::clone);
-            let _ = writeln!(text, "    {name:<14}{used_for}\n{:18}{there}", "");
+            let _ = writeln!(text, "    {name:<16}{used_for}\n{:20}{there}", "");
         }
         text
     }
@@ -108,7 +108,7 @@ fn dependencies() -> Vec<Dependency> {
             name: "crumple-fmu",
             found: shown(crumple_world::control::find_fmu_host()),
             used_for: "FMUs as controllers",
-            install: "`cargo install crumple` installs it; CRUMPLE_FMU can contain its path",
+            install: "`cargo install --locked --path .` in a clone installs it; CRUMPLE_FMU can contain its path",
         },
         Dependency {
             name: "python",
@@ -117,7 +117,7 @@ fn dependencies() -> Vec<Dependency> {
             install: "https://www.python.org",
         },
         Dependency {
-            name: "crumple (PyPI)",
+            name: "crumple module",
             found: module("crumple"),
             used_for: "notebooks, Gymnasium, callables as controllers",
             install: "pip install ./python",

@@ -2,10 +2,11 @@
 
 use std::fmt;
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::process::ExitCode;
 
 use super::output;
+use crumple_evidence::InvalidRate;
 use crumple_evidence::rare::RareError;
 use crumple_learn::retrain::RetrainError;
 use crumple_learn::rl::MergeTrainingsError;
@@ -37,6 +38,11 @@ impl CliError {
         Self::Input(error.to_string())
     }
 
+    /// Returns an error of unusable input about a file or folder.
+    pub(super) fn at(path: &Path, problem: impl fmt::Display) -> Self {
+        Self::Input(format!("{}: {problem}", path.display()))
+    }
+
     /// Returns the error of the gate if there is one, otherwise that of printing the results.
     pub(super) fn gate_first(gate: Result<(), Self>, printed: Result<(), Self>) -> Result<(), Self> {
         gate.and(printed)
@@ -56,9 +62,7 @@ impl CliError {
         let kind = if let Self::Gate(_) = self { "gate" } else { "error" };
         output::note(&format!("{kind}: {self}"), false);
     }
-}
 
-impl CliError {
     /// Converts an error of reading a file: unusable input if the file is missing or not text, otherwise a failed
     /// environment.
     pub(super) fn from_read_error(path: PathBuf, source: io::Error) -> Self {
@@ -66,7 +70,7 @@ impl CliError {
             io::ErrorKind::NotFound
             | io::ErrorKind::IsADirectory
             | io::ErrorKind::NotADirectory
-            | io::ErrorKind::InvalidData => Self::Input(format!("{}: {source}", path.display())),
+            | io::ErrorKind::InvalidData => Self::at(&path, source),
             _ => Self::Environment(DiskError { path, source }),
         }
     }
@@ -77,6 +81,15 @@ impl From<DiskError> for CliError {
         match error.source.kind() {
             io::ErrorKind::AlreadyExists => Self::input(error),
             _ => Self::Environment(error),
+        }
+    }
+}
+
+impl From<InvalidRate> for CliError {
+    fn from(error: InvalidRate) -> Self {
+        match error {
+            InvalidRate::Runs { .. } | InvalidRate::Confidence { .. } => Self::Input(format!("--{error}")),
+            other => Self::input(other),
         }
     }
 }

@@ -36,12 +36,7 @@ pub(super) struct Explore {
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: Vec<NamedController>,
     /// Initial estimator of the vehicles under test
-    #[arg(
-        long,
-        value_name = "ESTIMATOR",
-        default_value = "kalman",
-        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
-    )]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
     /// Folder in which scenarios can be saved, in addition to downloads
     #[arg(long, value_name = "DIR")]

@@ -51,15 +51,10 @@ pub(super) struct Export {
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: Option<NamedController>,
     /// Estimator of the vehicles under test [default: the one recorded with a counterexample, otherwise kalman]
-    #[arg(long, value_name = "ESTIMATOR", value_parser = value_enums::one_of(value_enums::ESTIMATORS))]
+    #[arg(long, value_name = "ESTIMATOR", value_parser = value_enums::estimator())]
     estimator: Option<EstimatorKind>,
     /// Behaviour after a collision
-    #[arg(
-        long,
-        value_name = "AFTER_CONTACT",
-        default_value = "stop",
-        value_parser = value_enums::one_of(value_enums::AFTER_CONTACT)
-    )]
+    #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = value_enums::after_contact())]
     after_contact: AfterContact,
     /// Folder for the files, created if missing; `exported.sha256` lists them. crumple replaces only files that it
     /// wrote there and that have not changed

@@ -2,7 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::{Args, ValueEnum};
+use clap::{Args, ValueEnum, value_parser};
 use serde::Serialize;
 
 use super::simulate::OutputFormat;
@@ -48,14 +48,16 @@ A shard has four files and no log.
 
 Examples:
   crumple falsify --controller baseline --space paper --out runs/baseline
-  crumple falsify --controller policy --space high-risk --budget 20000 --seed 7 --out runs/policy
+  crumple falsify --controller policy --space high-risk --budget 20000 --seed 7 \\
+    --out runs/policy
   crumple falsify --controller idm --spec 'always v1.time_gap_s > 0.3' --out runs/idm
   crumple falsify --controller policy --aim likeliest --out runs/likeliest
   crumple falsify --controller my-acc.toml --space traffic --budget 5000 --expect nothing
   crumple falsify --controller policy --budget 1000000 --shard 3/64 --out shards/3
-  crumple simulate runs/baseline/counterexamples/01-2-hits-1.toml --controller baseline --plot crash.svg
-  crumple simulate runs/idm/counterexamples/01-violation.toml --controller idm --spec 'always v1.time_gap_s > 0.3' \
-  --expect violated")]
+  crumple simulate runs/baseline/counterexamples/01-2-hits-1.toml --controller baseline \\
+    --plot crash.svg
+  crumple simulate runs/idm/counterexamples/01-violation.toml --controller idm \\
+    --spec 'always v1.time_gap_s > 0.3' --expect violated")]
 pub(super) struct Falsify {
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings as in `acc-aeb,ttc_s=2.0`,
     /// a policy file, a network (F.onnx, F.zip of Stable-Baselines3), a controller file (F.toml), or a command after
@@ -72,20 +74,10 @@ pub(super) struct Falsify {
     #[arg(long, value_name = "A", default_value = "severest")]
     aim: SearchObjective,
     /// Evaluations of the method, and of each reference search: 1 to 1 000 000 000
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 2000,
-        value_parser = clap::value_parser!(u64).range(1..=1_000_000_000)
-    )]
+    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = value_parser!(u64).range(1..=1_000_000_000))]
     budget: u64,
     /// Seed of the search and of all noise
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 0,
-        value_parser = clap::value_parser!(u64).range(..=i64::MAX as u64)
-    )]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = value_parser!(u64).range(..=i64::MAX as u64))]
     seed: u64,
     /// Specification: `no contact`, a formula of signal temporal logic, or one of the named specifications below
     #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT)]
@@ -98,12 +90,7 @@ pub(super) struct Falsify {
     #[arg(long, value_name = "RELATION")]
     metamorphic: Option<MetamorphicRelation>,
     /// Estimator of the vehicles under test
-    #[arg(
-        long,
-        value_name = "ESTIMATOR",
-        default_value = "kalman",
-        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
-    )]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
     /// Detail of the log of evaluations [default: full; for a shard, summary]
     #[arg(long, value_name = "L", value_parser = value_enums::one_of(value_enums::LOGS))]
@@ -177,22 +164,17 @@ impl Falsify {
             let problem = "a shard has no log: omit --log or --shard";
             return Err(CliError::Input(format!("--log: shard {shard}: {problem}")));
         }
-        let out = self.out.clone().unwrap_or_else(|| match self.shard {
-            None => PathBuf::from("crumple-campaign"),
-            Some(shard) => PathBuf::from(format!("crumple-campaign-shard-{}-of-{}", shard.index(), shard.count())),
-        });
+        let out = args::result_folder(self.out.as_deref(), "crumple-campaign", self.shard);
         let space = load_space(&self.space)?;
         let nominal = space.scenario(&space.nominal()).map_err(CliError::input)?;
         let specification = args::parse_specification(&self.spec, &nominal, quiet)?;
+        let against = self.against.map(FailureCriterion::Differential);
         let campaign = Campaign {
             controller: self.controller,
             estimator: self.estimator,
             space,
             specification,
-            failure_criterion: self
-                .against
-                .map(FailureCriterion::Differential)
-                .or(self.metamorphic.map(FailureCriterion::Metamorphic)),
+            failure_criterion: against.or(self.metamorphic.map(FailureCriterion::Metamorphic)),
             method: self.method,
             objective: self.aim,
             budget: self.budget,

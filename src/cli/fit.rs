@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::PathBuf;
 
-use clap::Args;
+use clap::{Args, value_parser};
 use serde_json::json;
 
 use super::import::{parse_min_brake, render_figure};
@@ -57,18 +57,13 @@ pub(super) struct Fit {
     min_brake: Option<f64>,
     /// Vehicles of a scenario, including the leader: 2 to 5. Episodes with fewer are ignored; of more, the first ones
     /// count
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 2,
-        value_parser = clap::value_parser!(u8).range(2..=MAX_VEHICLES as i64)
-    )]
+    #[arg(long, value_name = "N", default_value_t = 2, value_parser = value_parser!(u8).range(2..=MAX_VEHICLES as i64))]
     vehicles: u8,
     /// Name of the scenario space: 1 to 100 characters
     #[arg(long, value_name = "NAME", default_value = "fitted")]
     name: String,
     /// Samples for the goodness-of-fit test of each parameter: 19 to 9999
-    #[arg(long, value_name = "N", default_value_t = 199, value_parser = clap::value_parser!(u32).range(19..=9999))]
+    #[arg(long, value_name = "N", default_value_t = 199, value_parser = value_parser!(u32).range(19..=9999))]
     samples: u32,
     /// Seed of these samples
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -103,7 +98,7 @@ impl Fit {
         for path in &self.recordings {
             // A duplicate would count episodes and hours twice and understate the uncertainty.
             if !path.canonicalize().is_ok_and(|file| known.insert(file)) && path.exists() {
-                return Err(CliError::Input(format!("{}: this recording is given twice", path.display())));
+                return Err(CliError::at(path, "this recording is given twice"));
             }
             let recording = load(path, map.as_ref())?;
             recording.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));

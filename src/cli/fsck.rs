@@ -42,7 +42,7 @@ pub(super) struct Fsck {
     format: OutputFormat,
 }
 
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 struct FolderReport {
     folder: String,
     error: Option<String>,
@@ -68,19 +68,7 @@ struct DamagedFile {
 
 impl FolderReport {
     fn unreadable(folder: &Path, failure: &CliError) -> Self {
-        Self {
-            folder: folder.display().to_string(),
-            error: Some(failure.to_string()),
-            kind: None,
-            complete: false,
-            is_of_this_build: false,
-            is_whole: false,
-            files: 0,
-            damaged: Vec::new(),
-            unlisted_files: Vec::new(),
-            other_files: Vec::new(),
-            missing_evaluations: 0,
-        }
+        Self { folder: folder.display().to_string(), error: Some(failure.to_string()), ..Self::default() }
     }
 
     fn new(folder: &Path, found: &FolderExamination, missing_evaluations: u64) -> Self {
@@ -106,15 +94,19 @@ impl FolderReport {
 
 impl Fsck {
     pub(super) fn run(self) -> Result<(), CliError> {
-        let (mut text, mut all, mut unreadable) = (String::new(), Vec::new(), None);
+        let (mut text, mut all, mut unreadable) = (String::new(), Vec::new(), Vec::new());
         for folder in self.folders.iter().flat_map(|folder| run_folders_in(folder)) {
             let found = Self::examine_folder(&folder, &mut text).unwrap_or_else(|failure| {
-                text += &format!("{}\n", TerminalText(&failure.to_string()));
                 let found = FolderReport::unreadable(&folder, &failure);
-                unreadable.get_or_insert(failure);
+                unreadable.push(failure);
                 found
             });
             all.push(found);
+        }
+        let is_damaged = all.iter().any(|found| found.error.is_none() && !found.is_whole);
+        // Standard error has one line: the first failure, unless a folder is damaged.
+        for failure in unreadable.iter().skip(usize::from(!is_damaged)) {
+            text += &format!("{}\n", TerminalText(&failure.to_string()));
         }
         let printed = match self.format {
             OutputFormat::Json => output::print_json(&all),
@@ -128,7 +120,7 @@ impl Fsck {
         let damaged = folders(&|found| found.error.is_none() && !found.is_whole);
         let unlooked = folders(&|found| found.error.is_some());
         let gate = match (damaged.is_empty(), unlooked.is_empty()) {
-            (true, _) => unreadable.map_or(Ok(()), Err),
+            (true, _) => unreadable.into_iter().next().map_or(Ok(()), Err),
             (false, true) => Err(CliError::Gate(format!("damaged: {damaged}"))),
             (false, false) => Err(CliError::Gate(format!("damaged: {damaged}; unreadable: {unlooked}"))),
         };
@@ -138,8 +130,10 @@ impl Fsck {
     /// Checks a folder, and appends a description to `text`.
     fn examine_folder(folder: &Path, text: &mut String) -> Result<FolderReport, CliError> {
         if !is_run_folder(folder) {
-            let problem = "not a result folder: it contains no work.json";
-            return Err(CliError::Input(format!("{}: {problem}", folder.display())));
+            let is_there = fs::symlink_metadata(folder).is_ok();
+            let problem =
+                if is_there { "not a result folder: it contains no work.json" } else { "there is no such folder" };
+            return Err(CliError::at(folder, problem));
         }
         let mut found = verify_journal(folder, examine(folder)?)?;
         if found.kind == REPORT_KIND {

@@ -1,5 +1,12 @@
 //! Signals: Ctrl-C, with a hint how to resume, and the file size limit.
 
+use std::path::Path;
+
+/// Sets an exit message for results in `folder` that the same command with `--resume` continues.
+pub(super) fn set_resume_message(what: &str, folder: &Path, quiet: bool) {
+    set_exit_message(format!("{what} {}: the same command with --resume continues", folder.display()), quiet);
+}
+
 /// Makes Ctrl-C end the program immediately with exit code 130 and a message on standard error. Only for commands whose
 /// results are on disk at any time. If no handler can be set, the default action ends the program without the message.
 pub(super) fn set_exit_message(message: String, quiet: bool) {

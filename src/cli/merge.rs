@@ -148,8 +148,7 @@ impl AnyMerged {
             SUITE_SHARD_KIND => Self::Suite(Box::new(MergedSuite::new(folder, found)?)),
             ASSESSMENT_SHARD_KIND => Self::Assessment(Box::new(MergedEvidence::new(folder, found)?)),
             kind => {
-                let problem = format!("{}: a {kind}, which is not a shard that can be merged", folder.display());
-                return Err(CliError::Input(problem));
+                return Err(CliError::at(folder, format!("a {kind}, which is not a shard that can be merged")));
             }
         })
     }
@@ -176,8 +175,8 @@ impl AnyMerged {
             (Self::Suite(merged), ShardFolder::Finished(found)) if is_same => merged.add_shard(folder, found),
             (Self::Assessment(merged), ShardFolder::Finished(found)) if is_same => merged.add_shard(folder, found),
             _ => {
-                let problem = format!("{}: a {kind}, but the folders before it are of kind {own}", folder.display());
-                return Err(CliError::Input(problem));
+                let problem = format!("a {kind}, but the folders before it are of kind {own}");
+                return Err(CliError::at(folder, problem));
             }
         };
         Ok(taken?)

@@ -60,8 +60,9 @@ use error::CliError;
 const EXIT_CODES: &str = "\
 Exit codes:
   0    done
-  1    a gate did not hold: --expect was not met, a training diverged, no round of
-       a retraining was accepted, a certificate was rejected, shards are missing
+  1    a gate did not hold, or the result is negative: --expect not met, certificate
+       rejected, nothing verified, no episode found, training or retraining without a
+       better policy, files damaged, shards missing
   2    unusable arguments or input; the message names file, line and field
   3    the environment failed: disk, permission
   130  interrupted";

@@ -42,7 +42,6 @@ pub(super) fn print_coloured(format: OutputFormat, text: &str) -> Result<(), Cli
 const VERDICTS: &[(&str, AnsiColor)] = &[
     ("CONTROLLER FAILED", AnsiColor::Red),
     ("COLLISION", AnsiColor::Red),
-    ("CONTACT", AnsiColor::Red),
     ("VIOLATED", AnsiColor::Red),
     ("PASSED", AnsiColor::Green),
     ("FAILED", AnsiColor::Red),
@@ -120,21 +119,31 @@ pub(super) fn warn(text: &str) {
 }
 
 /// Returns the file to write for a path that the user named. Follows a symbolic link, which stays. Refuses anything but
-/// a plain file, such as a terminal or `/dev/null`, since writing moves a whole file into place.
+/// a plain file, such as a terminal or `/dev/null`, since writing moves a whole file into place. Refuses a path in a
+/// folder that does not exist.
 pub(super) fn resolve_output_path(path: &Path) -> Result<PathBuf, CliError> {
-    let Ok(there) = fs::symlink_metadata(path) else { return Ok(path.to_owned()) };
+    let Ok(there) = fs::symlink_metadata(path) else {
+        let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let is_missing = folder.is_some_and(|folder| match fs::metadata(folder) {
+            Ok(found) => !found.is_dir(),
+            Err(error) => matches!(error.kind(), io::ErrorKind::NotFound | io::ErrorKind::NotADirectory),
+        });
+        return match (is_missing, folder) {
+            (true, Some(folder)) => {
+                Err(CliError::Input(format!("{}: there is no folder {}", path.display(), folder.display())))
+            }
+            _ => Ok(path.to_owned()),
+        };
+    };
     let place = match there.is_symlink() {
         true => fs::canonicalize(path).map_err(|error| {
-            CliError::Input(format!("{}: the target of this symbolic link cannot be resolved: {error}", path.display()))
+            CliError::at(path, format!("the target of this symbolic link cannot be resolved: {error}"))
         })?,
         false => path.to_owned(),
     };
     let found = fs::metadata(&place).map_err(DiskError::at(path))?;
     if !found.is_file() && !found.is_dir() {
-        return Err(CliError::Input(format!(
-            "{}: is not a regular file; choose the name of a new or regular file",
-            path.display()
-        )));
+        return Err(CliError::at(path, "is not a regular file; choose the name of a new or regular file"));
     }
     Ok(place)
 }

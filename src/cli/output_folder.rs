@@ -58,7 +58,7 @@ impl OutputFolder {
         let is_own =
             |name: &&str| self.path.join(name).symlink_metadata().is_err() || self.unchanged_digest(name).is_some();
         match names.iter().find(|name| !is_own(name)) {
-            Some(name) => Err(CliError::Input(format!("{}: {CHANGED_FILE_PROBLEM}", self.path.join(name).display()))),
+            Some(name) => Err(CliError::at(&self.path.join(name), CHANGED_FILE_PROBLEM)),
             None => Ok(()),
         }
     }
@@ -102,7 +102,7 @@ impl OutputFolder {
     fn stage(&self, files: &mut StagedFiles, name: &str, contents: &[u8]) -> Result<(), CliError> {
         let path = self.path.join(name);
         if let Some(link) = self.find_symlink(&path) {
-            return Err(CliError::Input(format!("{}: {SYMLINK_PROBLEM}", link.display())));
+            return Err(CliError::at(link, SYMLINK_PROBLEM));
         }
         path.parent().map_or(Ok(()), disk::make_folder)?;
         let is_own = |digest: &str| self.force || self.recorded.get(name).is_some_and(|known| known.contains(digest));
@@ -149,7 +149,7 @@ pub(super) fn stage(
     is_own: impl FnOnce(&str) -> bool,
     otherwise: &str,
 ) -> Result<(), CliError> {
-    let refused = |problem: &str| Err(CliError::Input(format!("{}: {problem}", path.display())));
+    let refused = |problem: &str| Err(CliError::at(path, problem));
     match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(files.stage(path, contents)?),
         Err(error) => return Err(DiskError::at(path)(error).into()),
@@ -181,7 +181,7 @@ fn read_listing(path: &Path) -> Result<Vec<(String, String)>, CliError> {
         Ok(found) if !found.is_file() => {
             let problem = "is not a regular file, but crumple needs this name for its list of written files: remove \
                            it, or use another --out";
-            return Err(CliError::Input(format!("{}: {problem}", path.display())));
+            return Err(CliError::at(path, problem));
         }
         _ => {}
     }

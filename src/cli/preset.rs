@@ -46,7 +46,7 @@ impl TrainingPreset {
             return Ok(None);
         }
         if let Some(what) = file_kind::detect(path) {
-            return Err(CliError::Input(format!("{}: is not a preset, but {what}", path.display())));
+            return Err(CliError::at(path, format!("is not a preset, but {what}")));
         }
         let text = file::read(path)?;
         let config = TrainingConfig::parse(&text, path).map_err(CliError::input)?;
@@ -63,12 +63,13 @@ fn unknown_preset_error(name: &str, own: Option<&str>) -> CliError {
         return CliError::Input("--preset: the name of the preset is empty".to_owned());
     }
     let names: Vec<&str> = own.into_iter().chain(PRESETS.iter().map(|(name, _)| *name)).collect();
-    let hint = if own.is_none() && RETRAIN_PRESET_NAMES.contains(&name) {
-        ": it is the preset of `crumple retrain`"
-    } else {
-        ""
-    };
-    CliError::Input(format!("there is no preset `{name}`, and no such file{hint}; there are {}", names.join(", ")))
+    if own.is_none() && RETRAIN_PRESET_NAMES.contains(&name) {
+        return CliError::Input(format!(
+            "`{name}` is the preset of `crumple retrain`; `train` has {}. `crumple show retrain` prints it as a file",
+            names.join(", ")
+        ));
+    }
+    CliError::Input(format!("there is no preset `{name}`, and no such file; there are {}", names.join(", ")))
 }
 
 /// Preset of `crumple retrain`, and its former name.

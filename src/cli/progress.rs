@@ -35,8 +35,10 @@ pub(super) fn status_line(quiet: bool) -> ProgressBar {
     progress_bar("{spinner} {msg} ({elapsed})", None, quiet)
 }
 
-/// Returns an observer that advances a bar from its present position.
-pub(super) fn bar_observer(bar: &ProgressBar) -> impl Observer<RunProgress> {
+/// Does work that advances a bar from its present position, and clears the bar.
+pub(super) fn show<T>(bar: &ProgressBar, work: impl FnOnce(&dyn Observer<RunProgress>) -> T) -> T {
     let begin = bar.position();
-    Listener(move |progress: &RunProgress| bar.set_position(begin + progress.done))
+    let done = work(&Listener(|progress: &RunProgress| bar.set_position(begin + progress.done)));
+    bar.finish_and_clear();
+    done
 }

@@ -30,9 +30,7 @@ pub(super) fn estimate(
         // The rate per hour requires estimates in resamples.
         Some(report) => {
             let bar = progress::counter("resampling", quiet);
-            let report = kept.with_exposure(plan, report, resamples, &progress::bar_observer(&bar));
-            bar.finish_and_clear();
-            let report = report?;
+            let report = progress::show(&bar, |observer| kept.with_exposure(plan, report, resamples, observer))?;
             if !kept.is_complete() {
                 kept.write_report(&report)?;
             }
@@ -56,14 +54,10 @@ fn run_estimate(
 ) -> Result<RareReport, CliError> {
     interrupt::set_exit_message(resume_hint(plan, folder), quiet);
     let bar = progress::counter("placing levels", quiet);
-    let pilot = kept.run_pilot(plan, &progress::bar_observer(&bar));
-    bar.finish_and_clear();
-    let pilot = pilot?;
+    let pilot = progress::show(&bar, |observer| kept.run_pilot(plan, observer))?;
     let bar = progress::run_bar("climbing", pilot.planned_runs(), quiet);
     bar.inc(pilot.planned_runs() / plan.effort.repetitions.max(1) as u64 * kept.completed_repetitions());
-    let report = kept.estimate(plan, &pilot, resamples, &progress::bar_observer(&bar));
-    bar.finish_and_clear();
-    Ok(report?)
+    Ok(progress::show(&bar, |observer| kept.estimate(plan, &pilot, resamples, observer))?)
 }
 
 fn resume_hint(plan: &RarePlan, folder: &Path) -> String {
@@ -85,12 +79,9 @@ pub(super) fn run_shard(
     if !part.is_complete() {
         interrupt::set_exit_message(resume_hint(plan, folder), quiet);
         let bar = progress::counter("placing levels", quiet);
-        let pilot = part.run_pilot(&progress::bar_observer(&bar));
-        bar.finish_and_clear();
+        let pilot = progress::show(&bar, |observer| part.run_pilot(observer))?;
         let bar = progress::counter("climbing", quiet);
-        let repeated = part.run_repetitions(&pilot?, &progress::bar_observer(&bar));
-        bar.finish_and_clear();
-        repeated?;
+        progress::show(&bar, |observer| part.run_repetitions(&pilot, observer))?;
     }
     let message = "`crumple merge` combines the shards";
     let words = || format!("{}: shard {shard}; {message}\n", folder.display());

@@ -124,9 +124,7 @@ impl ReachCommand {
         let problem = format!("{place}: no part of the box was verified{deeper}");
         CliError::gate_first(if is_verified { Ok(()) } else { Err(CliError::Gate(problem)) }, printed)
     }
-}
 
-impl ReachCommand {
     /// Returns the report. Fields of the certificate have the names of `crumple check`.
     fn report<'a>(&'a self, partition: &'a Partition, accepted: &ProvedClaim) -> ReachReport<'a> {
         let Partition { certificate, shares, undecided: doubts } = partition;

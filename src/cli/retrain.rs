@@ -143,13 +143,13 @@ impl Retrain {
         let first = first.ok_or_else(|| {
             CliError::Input(format!("--policy: `{name}` cannot be retrained; use a policy that `crumple train` wrote"))
         })?;
-        let regression = load_regression_spaces(&self.regression)?;
-        let regression_draws = if regression.is_empty() { 0 } else { self.regression_draws };
+        let regression_spaces = load_regression_spaces(&self.regression)?;
+        let regression = if regression_spaces.is_empty() { 0 } else { self.regression_draws };
         let plan = RetrainingPlan {
             initial_policy: first,
             initial_policy_name: name.clone(),
             space: self.space.1,
-            regression_spaces: regression,
+            regression_spaces,
             training: load_training_config(&self.preset)?,
             method: self.method,
             seed: self.seed,
@@ -160,17 +160,14 @@ impl Retrain {
                 draws: self.draws,
                 validation_draws: self.validation_draws,
                 nominal: self.nominal,
-                regression: regression_draws,
+                regression,
                 test_draws: self.test_draws,
                 ..RetrainingSettings::default()
             },
             render_svg: render_report_figure,
         };
         let out = self.out.display();
-        interrupt::set_exit_message(
-            format!("the results so far are in {out}: the same command with --resume continues"),
-            quiet,
-        );
+        interrupt::set_resume_message("the results so far are in", &self.out, quiet);
         output::note_nothing_to_resume(self.resume, &self.out, quiet);
         let bar = progress::status_line(quiet);
         let report =
@@ -224,11 +221,9 @@ fn load_regression_spaces(names: &[String]) -> Result<Vec<ScenarioSpace>, CliErr
         return Ok(BUILT_IN_SPACES.iter().filter_map(|(name, ..)| built_in_space(name)).collect());
     }
     if names.iter().any(|name| name == "none") {
-        let alone = names.len() == 1;
-        return if alone {
-            Ok(Vec::new())
-        } else {
-            Err(CliError::Input("--regression: `none` cannot be combined with spaces".to_owned()))
+        return match names.len() {
+            1 => Ok(Vec::new()),
+            _ => Err(CliError::Input("--regression: `none` cannot be combined with spaces".to_owned())),
         };
     }
     if names.len() > MAX_REGRESSION_SPACES {

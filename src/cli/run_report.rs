@@ -204,7 +204,10 @@ fn shield_line(interventions: &[Intervention], vehicle: usize) -> Option<String>
         n => format!("{n} times"),
     };
     let outside = if own().any(|one| one.outside_kernel) { "; the state was outside the safety kernel" } else { "" };
-    let rear = if own().any(|one| one.rear_conflict) { "; the follower could not avoid a collision" } else { "" };
+    let rear = match own().any(|one| one.rear_conflict) {
+        true => "; while it braked, no command was safe for both the leader and the follower",
+        false => "",
+    };
     Some(format!(
         "  the shield of vehicle {vehicle} braked {times}, {braked_s:.2} s in all, first at {first_s:.2} \
          s{outside}{rear}"

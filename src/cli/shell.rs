@@ -11,6 +11,7 @@ use super::{CliError, output};
 /// Print a completion script for a shell
 #[derive(Args)]
 #[command(after_long_help = "\
+Install the script:
   bash        crumple completions bash > ~/.local/share/bash-completion/completions/crumple
   zsh         crumple completions zsh > a folder of $fpath, as _crumple
   fish        crumple completions fish > ~/.config/fish/completions/crumple.fish

@@ -22,7 +22,8 @@ in the order of --kind, and a note names the others.
 
 Examples:
   crumple show paper-1 > mine.toml && crumple simulate mine.toml
-  crumple show high-risk > mine.toml && crumple falsify --controller idm --space mine.toml --budget 100
+  crumple show high-risk > mine.toml
+  crumple falsify --controller idm --space mine.toml --budget 100
   crumple show fast > mine.toml && crumple train --preset mine.toml --episodes 10
   crumple show openacc > mine.toml && crumple import platoon.csv --map mine.toml")]
 pub(super) struct Show {

@@ -40,8 +40,8 @@ Examples:
   crumple simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth
   crumple simulate paper-1 --after-contact continue --plot pile-up.svg
   crumple simulate my-scenario.toml --controller idm --expect useful --format json
-  crumple simulate paper-1 --controller idm --spec 'always v1.time_gap_s > 0.3' --spec 'no contact' --expect \
-satisfied")]
+  crumple simulate paper-1 --controller idm --spec 'always v1.time_gap_s > 0.3' \\
+    --spec 'no contact' --expect satisfied")]
 pub(super) struct Simulate {
     /// Built-in scenarios (see `crumple list scenarios`) or scenario files
     #[arg(required = true, value_name = "SCENARIO")]
@@ -52,12 +52,7 @@ pub(super) struct Simulate {
     #[arg(long, value_name = "C", default_value = "baseline", value_parser = args::parse_controller)]
     controller: NamedController,
     /// Estimator of the vehicles under test
-    #[arg(
-        long,
-        value_name = "ESTIMATOR",
-        default_value = "kalman",
-        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
-    )]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
     /// Seed of all noise instead of the scenario's
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
@@ -67,12 +62,7 @@ pub(super) struct Simulate {
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = parse_seconds)]
     dt: Option<f64>,
     /// Behaviour after a collision
-    #[arg(
-        long,
-        value_name = "AFTER_CONTACT",
-        default_value = "stop",
-        value_parser = value_enums::one_of(value_enums::AFTER_CONTACT)
-    )]
+    #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = value_enums::after_contact())]
     after_contact: AfterContact,
     /// Plot position, speed and spacing over time; replaces an existing file
     #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| parse_path_ending_in(path, ["svg", "png"]))]
@@ -173,13 +163,11 @@ impl Simulate {
         }
         self.note_other_controllers(quiet);
         let options = self.run_options();
-        let runs = scenarios
-            .iter()
-            .map(|scenario| {
-                Run::new(scenario, options.clone())
-                    .map_err(|error| CliError::Input(format!("{}: {error}", scenario.spec().name)))
-            })
-            .collect::<Result<Vec<_>, _>>()?;
+        let prepare = |scenario: &Scenario| {
+            let failed = |error| CliError::Input(format!("{}: {error}", scenario.spec().name));
+            Run::new(scenario, options.clone()).map_err(failed)
+        };
+        let runs = scenarios.iter().map(prepare).collect::<Result<Vec<_>, _>>()?;
         for scenario in scenarios.iter().filter(|scenario| !scenario.has_vehicle_under_test()) {
             let name = &scenario.spec().name;
             output::note(&format!("note: {name} has no vehicle under test, so --controller has no effect"), quiet);
@@ -215,17 +203,14 @@ impl Simulate {
         if let Some(trace) = &simulated.trace {
             let name = is_one_of_many.then_some(run.scenario().spec().name.as_str());
             if let Some(path) = &self.plot {
-                files.push((
-                    path_for_scenario(path, name),
-                    render_motion_figure(path, run.scenario(), &self.controller.name, trace, &simulated.impacts)?,
-                ));
+                let (scenario, controller) = (run.scenario(), &self.controller.name);
+                let figure = render_motion_figure(path, scenario, controller, trace, &simulated.impacts)?;
+                files.push((path_for_scenario(path, name), figure));
             }
             if let Some(path) = &self.trace {
-                let is_csv = extension(path) == Some("csv");
-                let table = if is_csv {
-                    export::to_csv(trace).map_err(CliError::input)
-                } else {
-                    feature::encode_parquet(trace)
+                let table = match extension(path) {
+                    Some("csv") => export::to_csv(trace).map_err(CliError::input),
+                    _ => feature::encode_parquet(trace),
                 };
                 files.push((path_for_scenario(path, name), table?));
             }
@@ -278,6 +263,8 @@ impl Simulate {
     fn report<'a>(&'a self, run: &'a Run, result: &'a SimulationResult) -> Result<RunReport<'a>, CliError> {
         let scenario = run.scenario();
         let spec = scenario.spec();
+        let specifications =
+            self.check_specifications(scenario).map_err(|error| CliError::Input(format!("--spec: {error}")))?;
         Ok(RunReport {
             scenario: &spec.name,
             controller: &self.controller.name,
@@ -293,9 +280,7 @@ impl Simulate {
             interventions: &result.interventions,
             unnecessary_braking: unnecessary_braking(scenario, result),
             fell_behind: fell_behind(scenario, result),
-            specifications: self
-                .check_specifications(scenario)
-                .map_err(|error| CliError::Input(format!("--spec: {error}")))?,
+            specifications,
         })
     }
 
@@ -324,12 +309,8 @@ impl Simulate {
 
     fn check_expectation(&self, runs: &[Run], results: &[RenderedRun]) -> Result<(), CliError> {
         let Some(expected) = self.expect else { return Ok(()) };
-        let otherwise: Vec<_> = runs
-            .iter()
-            .zip(results)
-            .filter(|(_, result)| !expected.is_met(result))
-            .map(|(run, _)| run.scenario().spec().name.as_str())
-            .collect();
+        let otherwise = runs.iter().zip(results).filter(|(_, result)| !expected.is_met(result));
+        let otherwise: Vec<_> = otherwise.map(|(run, _)| run.scenario().spec().name.as_str()).collect();
         if otherwise.is_empty() {
             return Ok(());
         }

@@ -64,7 +64,8 @@ one lane: a result is no certification.
 Examples:
   crumple suite run fmvss-127 --controller acc-aeb --controller policy
   crumple suite run euro-ncap-2023 --controller idm --estimator truth --format junit
-  crumple suite run euro-ncap-2023 --controller full-throttle --out failures --format html > euro-ncap.html
+  crumple suite run euro-ncap-2023 --controller full-throttle --out failures --format html \\
+    > euro-ncap.html
   crumple suite run my-suite.toml --controller my-acc.toml --out failures --expect passed
   crumple suite run fmvss-127 --controller policy --shard 2/4 --out tests/2")]
 struct RunSuite {
@@ -74,12 +75,7 @@ struct RunSuite {
     #[arg(long = "controller", value_name = "C", required = true, value_parser = args::parse_controller)]
     controllers: Vec<NamedController>,
     /// Estimator of the vehicle under test
-    #[arg(
-        long,
-        value_name = "ESTIMATOR",
-        default_value = "kalman",
-        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
-    )]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
     /// Write the scenario of every failed point into this folder, and replace those of the previous run; for a shard,
     /// its folder [default for a shard: crumple-suite-shard-I-of-N]
@@ -112,12 +108,7 @@ struct SuiteTable {
     #[arg(long = "controller", value_name = "C", value_parser = args::parse_controller)]
     controllers: Vec<NamedController>,
     /// Estimator of the vehicle under test
-    #[arg(
-        long,
-        value_name = "ESTIMATOR",
-        default_value = "kalman",
-        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
-    )]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
     /// Output format: a Markdown table, or one JSON object per suite, as in `crumple suite run`
     #[arg(long, value_enum, default_value = "text")]
@@ -253,13 +244,9 @@ impl RunSuite {
     }
 
     fn run_shard(&self, suite: &TestSuite, shard: ShardId, quiet: bool) -> Result<(), CliError> {
-        let default = || PathBuf::from(format!("crumple-suite-shard-{}-of-{}", shard.index(), shard.count()));
-        let out = self.out.clone().unwrap_or_else(default);
+        let out = args::result_folder(self.out.as_deref(), "crumple-suite", Some(shard));
         output::note_nothing_to_resume(self.resume, &out, quiet);
-        interrupt::set_exit_message(
-            format!("the finished tests are in {}: the same command with --resume continues", out.display()),
-            quiet,
-        );
+        interrupt::set_resume_message("the finished tests are in", &out, quiet);
         let bar = progress::run_bar("testing", 0, quiet);
         let observer = Listener(|tests: &RunProgress| {
             bar.set_length(tests.total.unwrap_or_default());

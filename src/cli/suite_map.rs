@@ -34,14 +34,9 @@ pub(super) struct MapCommand {
     #[arg(long = "controller", value_name = "C", value_parser = args::parse_controller)]
     controllers: Vec<NamedController>,
     /// Estimator of the controllers; reference drivers use the true state
-    #[arg(
-        long,
-        value_name = "ESTIMATOR",
-        default_value = "kalman",
-        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
-    )]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
-    /// For car-following: initial time headway, 0.2 to 10 s [default: 1.5]
+    /// For car-following: initial time gap, 0.2 to 10 s [default: 1.5]
     #[arg(long, value_name = "S")]
     time_gap: Option<f64>,
     /// For cut-ins: speed of the vehicle under test, 30 to 250 km/h [default: 100]
@@ -115,7 +110,7 @@ impl MapCommand {
         for (option, is_given) in [("--time-gap", self.time_gap.is_some()), ("--own-speed", self.own_speed.is_some())] {
             if is_given && option != held {
                 let map = situation.name();
-                return Err(CliError::Input(format!("{option}: has no place on the map {map}, which holds {held}")));
+                return Err(CliError::Input(format!("{option}: does not apply to {map}; use {held}")));
             }
         }
         let spec = CrashMapSpec::new(situation, self.cells).map_err(|problem| {

@@ -131,15 +131,8 @@ impl Train {
         if let (Some(count), Some(shard)) = (self.seeds, self.shard) {
             TrainingShard::new(shard, count, &config)?.write_to(&self.out)?;
         }
-        let out = self.out.display();
-        interrupt::set_exit_message(
-            format!("the results so far are in {out}: the same command with --resume continues"),
-            quiet,
-        );
-        if run_folder::is_run_folder(&self.out) {
-            let problem = "holds other work: trainings need an --out of their own";
-            return Err(CliError::Input(format!("{}: {problem}", self.out.display())));
-        }
+        interrupt::set_resume_message("the results so far are in", &self.out, quiet);
+        refuse_other_work(&self.out)?;
         // Seeds may be added to existing ones; without any, a misspelt --out is likely.
         if !seeds.iter().any(|seed| run_folder::is_run_folder(&seed_folder(&self.out, *seed))) {
             output::note_nothing_to_resume(self.resume, &self.out, quiet);
@@ -220,6 +213,13 @@ impl Train {
 /// Files that every training with the same --out writes anew.
 const RESULT_FILES: [&str; 3] = ["training.json", "learning-curve.json", "learning-curve.svg"];
 
+fn refuse_other_work(out: &Path) -> Result<(), CliError> {
+    if run_folder::is_run_folder(out) {
+        return Err(CliError::at(out, "holds other work: trainings need an --out of their own"));
+    }
+    Ok(())
+}
+
 fn results_folder(out: &Path) -> Result<OutputFolder, CliError> {
     OutputFolder::with_listing(out, "training.sha256")
 }
@@ -255,12 +255,7 @@ struct MergedTrainingReport<'a> {
 
 /// Merges the seeds of several shards and their results. Missing seeds end with exit code 1.
 pub(super) fn merge(merged: &MergedTrainings, out: &Path, format: OutputFormat, quiet: bool) -> Result<(), CliError> {
-    if run_folder::is_run_folder(out) {
-        return Err(CliError::Input(format!(
-            "{}: holds other work: trainings need an --out of their own",
-            out.display()
-        )));
-    }
+    refuse_other_work(out)?;
     let config = merged.config();
     merged.write_to(out)?;
     run_folder::with_folder_lock(out, || write_results(out, config, quiet))?;
@@ -334,18 +329,18 @@ impl<'a> SeedProgress<'a> {
 
 fn format_table(results: &[SeedResult], ranking_draws: u64) -> String {
     let mut text = format!(
-        "{:>6} {:>8} {:>6}  {:<8} {:<8} {:<8} {:>10} {:>10} {:>7}  {}\n",
-        "seed", "episodes", "best", "paper-1", "paper-2", "paper-3", "held out", "unseen", "gap m", "policy"
+        "{:>6} {:>8} {:>6}  {:<9} {:<9} {:<9} {:>10} {:>10} {:>7}  {}\n",
+        "seed", "episodes", "best", "paper-1", "paper-2", "paper-3", "validation", "test", "gap m", "policy"
     );
     for result in results {
         let Some(found) = &result.evaluation else { continue };
-        let paper = found.is_safe_in_paper.map(|safe| if safe { "safe" } else { "CONTACT" });
+        let paper = found.is_safe_in_paper.map(|safe| if safe { "safe" } else { "COLLISION" });
         let held_out = match found.ranking_contacts {
             Some(contacts) => format!("{contacts}/{ranking_draws}"),
             None => format!("{:.0} % safe", 100.0 * found.safe_share),
         };
         text += &format!(
-            "{:>6} {:>8} {:>6}  {:<8} {:<8} {:<8} {held_out:>10} {:>10} {:>7.2}  {}\n",
+            "{:>6} {:>8} {:>6}  {:<9} {:<9} {:<9} {held_out:>10} {:>10} {:>7.2}  {}\n",
             result.seed,
             result.episodes,
             result.best_episode.unwrap_or_default(),
@@ -357,8 +352,7 @@ fn format_table(results: &[SeedResult], ranking_draws: u64) -> String {
             result.policy_sha256.as_ref().and_then(|digest| digest.get(..12)).unwrap_or("none: nothing learned")
         );
     }
-    text + "held out, unseen: collisions in the validation set and in the test set; gap: smallest gap outside the test \
-            set\n"
+    text + "gap: smallest gap outside the test set\n"
 }
 
 impl From<TrainingError> for CliError {

@@ -11,12 +11,12 @@ use crumple_world::sim::AfterContact;
 /// A value, its name, and its description in the long help.
 type ArgValue<T> = (T, &'static str, &'static str);
 
-pub(super) const ESTIMATORS: &[ArgValue<EstimatorKind>] = &[
+const ESTIMATORS: &[ArgValue<EstimatorKind>] = &[
     (EstimatorKind::Kalman, "kalman", "Noisy sensors and a Kalman filter"),
     (EstimatorKind::Truth, "truth", "The true state"),
 ];
 
-pub(super) const AFTER_CONTACT: &[ArgValue<AfterContact>] = &[
+const AFTER_CONTACT: &[ArgValue<AfterContact>] = &[
     (AfterContact::Stop, "stop", "End the run at the instant of contact"),
     (
         AfterContact::Continue,
@@ -65,6 +65,16 @@ pub(super) const LOGS: &[ArgValue<EvaluationLog>] = &[
     (EvaluationLog::Full, "full", "Every evaluation, as a row of a compressed CSV file"),
     (EvaluationLog::Summary, "summary", "Only the summary and the counterexamples"),
 ];
+
+/// Returns the clap parser of the option `--estimator`.
+pub(super) fn estimator() -> impl TypedValueParser<Value = EstimatorKind> {
+    one_of(ESTIMATORS)
+}
+
+/// Returns the clap parser of the option `--after-contact`.
+pub(super) fn after_contact() -> impl TypedValueParser<Value = AfterContact> {
+    one_of(AFTER_CONTACT)
+}
 
 /// Returns a clap parser that selects one of `choices` by its name.
 pub(super) fn one_of<T: Copy + Send + Sync + 'static>(

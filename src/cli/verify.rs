@@ -127,12 +127,7 @@ struct RateCommand {
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
     /// Estimator of the vehicles under test
-    #[arg(
-        long,
-        value_name = "ESTIMATOR",
-        default_value = "kalman",
-        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
-    )]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
     /// Run only shard I of N: a range of the blocks of runs (runs/100, at most 1000; above 100 000 000 runs, 10 000),
     /// or with --rare of the repetitions; `crumple merge` combines shards and certifies
@@ -202,22 +197,17 @@ impl RateCommand {
             estimator: self.estimator,
             confidence: self.confidence,
             ..RateConfig::new(self.controller, self.space.1, runs)
-        })
-        .map_err(CliError::input)?
+        })?
         .with_resampling(self.resamples.unwrap_or(200), self.resample_runs.unwrap_or(500));
         output::note_nothing_to_resume(self.resume, &out, quiet);
         let registered = || output::note(&format!("registered as {}", plan.registration().digest()), quiet);
-        let kept = format!("the counts so far are in {}", out.display());
-        let note_resume =
-            || interrupt::set_exit_message(format!("{kept}: the same command with --resume continues"), quiet);
+        let note_resume = || interrupt::set_resume_message("the counts so far are in", &out, quiet);
         if let Some(shard) = self.shard {
             let mut part = plan.register_shard_in(shard, &out, self.resume)?;
             registered();
             note_resume();
             let bar = progress::run_bar("counting", part.run_count(), quiet);
-            let done = part.count(&progress::bar_observer(&bar));
-            bar.finish_and_clear();
-            done?;
+            progress::show(&bar, |observer| part.count(observer))?;
             let message = format!("{}: shard {shard}; `crumple merge` combines the shards\n", out.display());
             let report = CountReport { shard: Some(shard), ..CountReport::new(part.tally(), &out) };
             let words = || format!("{}{message}", tally_line(is_comparison, part.tally()));
@@ -242,8 +232,7 @@ impl RateCommand {
         };
         let message = certificate_verdict(&path, &certificate)?;
         let bar = progress::counter("resampling", quiet);
-        let exposed = plan.rate_per_exposure(count.tally(), &progress::bar_observer(&bar));
-        bar.finish_and_clear();
+        let exposed = progress::show(&bar, |observer| plan.rate_per_exposure(count.tally(), observer));
         let exposed = exposed.map_err(CliError::input)?;
         let on_the_road = exposed.as_ref().map(exposure::format_rate).unwrap_or_default();
         let words = || format!("{}{message}{on_the_road}", tally_line(is_comparison, count.tally()));
@@ -310,15 +299,9 @@ impl RateCommand {
     }
 
     fn out_folder(&self) -> PathBuf {
-        match (&self.out, self.shard) {
-            (Some(out), _) => out.clone(),
-            (None, None) => PathBuf::from(DEFAULT_OUT),
-            (None, Some(shard)) => PathBuf::from(format!("{DEFAULT_OUT}-shard-{}-of-{}", shard.index(), shard.count())),
-        }
+        args::result_folder(self.out.as_deref(), "crumple-rate", self.shard)
     }
 }
-
-const DEFAULT_OUT: &str = "crumple-rate";
 
 /// JSON output of a count, with the names that `crumple merge` uses.
 #[derive(Serialize)]

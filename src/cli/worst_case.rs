@@ -2,7 +2,7 @@
 
 use std::fmt::Write;
 
-use clap::Args;
+use clap::{Args, value_parser};
 use serde::Serialize;
 
 use super::artifacts::ArtifactArgs;
@@ -46,12 +46,7 @@ pub(super) struct WorstCase {
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: NamedController,
     /// Estimator of the vehicles under test
-    #[arg(
-        long,
-        value_name = "ESTIMATOR",
-        default_value = "kalman",
-        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
-    )]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
     /// Objective: least ∫a², least peak, or the fastest impact
     #[arg(long, value_name = "AIM", default_value = "mildest", value_parser = value_enums::one_of(value_enums::AIMS))]
@@ -63,12 +58,7 @@ pub(super) struct WorstCase {
     #[arg(long, value_name = "J", default_value_t = Envelope::DEFAULT_JERK_MPS3, allow_negative_numbers = true)]
     jerk: f64,
     /// Maximum number of simulations, 1 to 10 000 000, except for those that are always made (see below)
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = 3000,
-        value_parser = clap::value_parser!(u32).range(1..=10_000_000)
-    )]
+    #[arg(long, value_name = "N", default_value_t = 3000, value_parser = value_parser!(u32).range(1..=10_000_000))]
     budget: u32,
     #[command(flatten)]
     finding: ArtifactArgs,
@@ -76,6 +66,9 @@ pub(super) struct WorstCase {
 
 impl WorstCase {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+        if self.jerk.is_nan() || self.jerk <= 0.0 {
+            return Err(CliError::Input(format!("--jerk: must be above 0, found {}", self.jerk)));
+        }
         let scenario = args::load_scenario(&self.scenario)?;
         let envelope = Envelope {
             max_brake_mps2: self.max_brake.unwrap_or(Envelope::from_scenario(&scenario).max_brake_mps2),
@@ -85,8 +78,7 @@ impl WorstCase {
         let result = attack(&scenario, &options, self.aim, envelope, self.budget as usize, &Quiet);
         let result = result.map_err(|error| {
             let place = match error {
-                AttackError::EmptyEnvelope { .. } if self.jerk > 0.0 => "--max-brake",
-                AttackError::EmptyEnvelope { .. } => "--jerk",
+                AttackError::EmptyEnvelope { .. } => "--max-brake",
                 AttackError::TooManySimulations { .. } => "--budget",
                 _ => &self.scenario,
             };
@@ -152,7 +144,7 @@ fn describe_report(report: &AttackReport) -> String {
             contact.time_s, contact.rear_vehicle, contact.front_vehicle, contact.impact_speed_mps
         );
     }
-    let _ = writeln!(text, "  lead braking: ∫a² {effort:.3} m²/s³, peak {peak:.2} m/s²");
+    let _ = writeln!(text, "  braking of the leader: ∫a² {effort:.3} m²/s³, peak {peak:.2} m/s²");
     if let (Some(predicted), Some(margin)) = (report.predicted_margin_m, report.margin_m) {
         let _ = writeln!(text, "  margin {margin:.3} m; the last program predicted {predicted:.3} m");
     }

@@ -83,17 +83,10 @@ fn foreign_certificates_change_no_claim() {
     fs::create_dir(&there).expect("made");
     fs::write(there.join("own.safetensors"), Policy::reference_bytes()).expect("writes");
     let (truth, kalman) = (EstimatorKind::Truth, EstimatorKind::Kalman);
-    let stale = {
-        let mut certificate = count_certificate("own.safetensors", None, &paper, kalman, folder.path());
+    let changed = |controller: &str, entry: &str, value: &str| {
+        let mut certificate = count_certificate(controller, None, &paper, kalman, folder.path());
         let Statement::Rate(rate) = &mut certificate.statement else { panic!("a rate") };
-        rate.registration.configuration.insert("crumple".to_owned(), "0.0.9".to_owned());
-        rate.registration_sha256 = rate.registration.digest();
-        certificate
-    };
-    let renamed = {
-        let mut certificate = count_certificate("idm", None, &paper, kalman, folder.path());
-        let Statement::Rate(rate) = &mut certificate.statement else { panic!("a rate") };
-        rate.registration.configuration.insert("controller".to_owned(), "own.safetensors".to_owned());
+        rate.registration.configuration.insert(entry.to_owned(), value.to_owned());
         rate.registration_sha256 = rate.registration.digest();
         certificate
     };
@@ -104,17 +97,20 @@ fn foreign_certificates_change_no_claim() {
         count_certificate("shield:own.safetensors", None, &paper, kalman, folder.path()),
         count_certificate("baseline", Some("own.safetensors"), &gentle, kalman, folder.path()),
         count_certificate("own.safetensors", Some("baseline-unlatched"), &paper, kalman, folder.path()),
-        stale,
-        renamed,
+        changed("own.safetensors", "crumple", "0.0.9"),
+        changed("idm", "controller", "own.safetensors"),
     ];
     let controllers = ["baseline", "own.safetensors"];
     let bare = run(config(&controllers), folder.path());
-    for (place, certificate) in hostile.iter().enumerate() {
+    let assess_with = |certificate: &Certificate| {
         let path = folder.path().join("given.json");
         fs::write(&path, serde_json::to_string(certificate).expect("JSON")).expect("writes");
         let mut with = config(&controllers);
         with.certificates = Some(vec![path]);
-        let with = run(with, folder.path());
+        run(with, folder.path())
+    };
+    for (place, certificate) in hostile.iter().enumerate() {
+        let with = assess_with(certificate);
         let strengths =
             |of: &AssessmentReport| statuses(of).into_iter().map(|one| one.strength.clone()).collect::<Vec<_>>();
         assert_eq!(strengths(&with), strengths(&bare), "certificate {place}");
@@ -122,12 +118,7 @@ fn foreign_certificates_change_no_claim() {
         let is_foreign = matches!(&proof.subject, CertificateSubject::Unrelated { reason } if !reason.is_empty());
         assert!(is_foreign || place == 0, "{place}: {:?}", proof.subject);
     }
-    let genuine = folder.path().join("genuine.json");
-    let certificate = count_certificate("own.safetensors", None, &paper, kalman, folder.path());
-    fs::write(&genuine, serde_json::to_string(&certificate).expect("JSON")).expect("writes");
-    let mut with = config(&controllers);
-    with.certificates = Some(vec![genuine]);
-    let with = run(with, folder.path());
+    let with = assess_with(&count_certificate("own.safetensors", None, &paper, kalman, folder.path()));
     assert!(matches!(rate_strength(&bare, 1), Strength::Undecided { .. }), "{:?}", rate_strength(&bare, 1));
     assert!(matches!(rate_strength(&with, 1), Strength::Bounded { .. }), "{:?}", rate_strength(&with, 1));
 }
@@ -257,6 +248,7 @@ fn gates_find_the_draws_of_own_spaces() {
     let paper = built_in_space("paper").expect("built in");
     let text = space_file::to_toml(&paper).expect("written").replace("mean = 36.0", "mean = 37.0");
     let text = text.replacen("name = \"paper\"", "name = \"mine\"", 1);
+    let text = text.replacen("The distribution the paper trains on:", "Drives of 0.099 h:", 1);
     fs::write(folder.path().join("of mine.toml"), text).expect("writes");
     let space = || Some("of mine.toml".to_owned());
     let rate = |controller: &str, percent| AssessmentGate::RateAtMost {
@@ -277,8 +269,22 @@ fn gates_find_the_draws_of_own_spaces() {
         fewer("match-leader", "full-throttle"),
         fewer("full-throttle", "match-leader"),
     ];
-    let holds: Vec<_> = run(asked, folder.path()).summary.gates.iter().map(|gate| gate.holds).collect();
+    let found = run(asked, folder.path());
+    let holds: Vec<_> = found.summary.gates.iter().map(|gate| gate.holds).collect();
     assert_eq!(holds, [true, false, true, false]);
+    let explanation = |name: &str| {
+        found.summary.named.iter().find(|named| named.name == name).map(|named| named.explanation.as_str())
+    };
+    assert_eq!(explanation("space `mine`"), Some("Drives of 0.099 h"));
+    // Built-in spaces have their one-line descriptions, the others their own texts.
+    let traffic = "everyday driving without hard braking, to measure the usefulness of a controller";
+    assert_eq!(explanation("space `traffic`"), Some(traffic));
+    let about = |name: &str| {
+        let spaces = &found.space_descriptions.spaces;
+        spaces.iter().find(|space| space.name == name).map(|space| space.about.as_str())
+    };
+    assert_eq!(about("traffic"), Some(format!("E{}.", &traffic[1..]).as_str()));
+    assert!(about("mine").is_some_and(|about| about.starts_with("Drives of 0.099 h: scenarios 1 and 2")));
 }
 
 /// A gate on a space counts its random scenarios, including everyday traffic; a gate on scenario files does not.

@@ -141,25 +141,26 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
         };
         (one["confidence_percent"].as_f64().unwrap(), one["runs"].as_f64().unwrap(), against)
     };
+    let has_subject = |own: &Value| {
+        same(&own["subject"]["controller"], &claim["subject"]["controller"])
+            && own["subject"]["estimator"] == claim["subject"]["estimator"]
+    };
     let counts = |one: &Value| {
         let own = &one["claim"];
-        let is_subjects = same(&own["subject"]["controller"], &claim["subject"]["controller"])
-            && own["subject"]["estimator"] == claim["subject"]["estimator"];
         let is_rate = own["property"]["kind"] == "failure_rate" && claim["property"]["kind"] == "rate_at_most";
         let is_counted = match one["strength"].as_str() {
             Some("between") => is_rate,
             Some("counted" | "counted_in_vain") => same_property(&own["property"], &claim["property"]),
             _ => false,
         };
-        is_subjects && is_counted && equal(&own["domain"], &claim["domain"])
+        has_subject(own) && is_counted && equal(&own["domain"], &claim["domain"])
     };
     let decides = |one: &Value| evidence.iter().filter(|rival| counts(rival)).all(|rival| fixed(rival) <= fixed(one));
     let (mut best, mut refuted) = (1, false);
     let mut proved: Vec<Value> = Vec::new();
     for one in evidence {
         let own = &one["claim"];
-        let is_subjects = same(&own["subject"]["controller"], &claim["subject"]["controller"])
-            && own["subject"]["estimator"] == claim["subject"]["estimator"];
+        let is_subjects = has_subject(own);
         let (p, q, d, e) = (&own["property"], &claim["property"], &own["domain"], &claim["domain"]);
         let mut says = strength_level(one);
         let applies = if same_property(p, q) && equal(d, e) {
@@ -199,9 +200,7 @@ fn allowed_level(evidence: &[Value], claim: &Value) -> u8 {
         evidence.iter().filter(|one| one["strength"] == "between" && one["claim"]["property"]["kind"] == "failure_rate")
     {
         let own = &one["claim"];
-        let is_subjects = same(&own["subject"]["controller"], &claim["subject"]["controller"])
-            && own["subject"]["estimator"] == claim["subject"]["estimator"];
-        if is_subjects && equal(&own["domain"], &claim["domain"]) {
+        if has_subject(own) && equal(&own["domain"], &claim["domain"]) {
             meet = (
                 f64::max(meet.0, one["lower_percent"].as_f64().unwrap()),
                 f64::min(meet.1, one["upper_percent"].as_f64().unwrap()),

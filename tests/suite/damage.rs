@@ -116,21 +116,25 @@ pub(crate) fn scratch_folder() -> TempDir {
     tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
 }
 
-pub(crate) fn read_files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
-    fn gather(root: &Path, folder: &Path, found: &mut BTreeMap<String, Vec<u8>>) {
-        for entry in fs::read_dir(folder).unwrap() {
-            let path = entry.unwrap().path();
-            let name = path.strip_prefix(root).unwrap().to_str().unwrap().to_owned();
+/// Reads all files below a folder.
+pub(crate) fn read_tree(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    let (mut found, mut folders) = (BTreeMap::new(), vec![folder.to_owned()]);
+    while let Some(next) = folders.pop() {
+        for path in fs::read_dir(&next).unwrap().map(|entry| entry.unwrap().path()) {
             if path.is_dir() {
-                gather(root, &path, found);
-            } else if !name.ends_with("work.lock") {
-                found.insert(name, fs::read(path).unwrap());
+                folders.push(path);
+            } else {
+                let name = path.strip_prefix(folder).unwrap().to_str().unwrap().to_owned();
+                found.insert(name, fs::read(&path).unwrap());
             }
         }
     }
-    let mut found = BTreeMap::new();
-    gather(folder, folder, &mut found);
     found
+}
+
+/// Reads all files below a folder but the locks.
+pub(crate) fn read_files(folder: &Path) -> BTreeMap<String, Vec<u8>> {
+    read_tree(folder).into_iter().filter(|(name, _)| !name.ends_with("work.lock")).collect()
 }
 
 fn write_files(folder: &Path, files: &BTreeMap<String, Vec<u8>>) {

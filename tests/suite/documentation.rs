@@ -4,7 +4,8 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
-fn files_below(path: PathBuf) -> Vec<PathBuf> {
+/// Returns all files below a folder, or a file itself.
+pub(crate) fn files_below(path: PathBuf) -> Vec<PathBuf> {
     match fs::read_dir(&path) {
         Ok(entries) => entries.flat_map(|entry| files_below(entry.unwrap().path())).collect(),
         Err(_) => vec![path],

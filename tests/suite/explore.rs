@@ -2,9 +2,9 @@
 
 use std::io::{BufRead, BufReader};
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::{Child, Command};
 
-use crate::command_line::{exit_code, run_crumple, temp_folder};
+use crate::command_line::{assert_refused, exit_code, interrupt, run_crumple, run_ok, spawn, stderr, temp_folder};
 
 /// Runs `tests/browser/explore.py`. Skipped with a message if Python, chromium or its driver is missing.
 #[test]
@@ -18,16 +18,19 @@ fn explore_is_driven_in_a_browser() {
     assert!(matches!(output.status.code(), Some(0 | 77)), "{}", String::from_utf8_lossy(&output.stderr));
 }
 
+fn first_line(child: &mut Child) -> String {
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().expect("piped")).read_line(&mut line).expect("a line");
+    line
+}
+
 /// The address is the first output, and Ctrl-C ends with success.
 #[cfg(unix)]
 #[test]
 fn explore_prints_its_address_and_ends_with_ctrl_c() {
     for format in ["text", "json"] {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
-        command.args(["explore", "--quiet", "--format", format]).stdout(Stdio::piped());
-        let mut child = command.spawn().expect("starts");
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().expect("piped")).read_line(&mut line).expect("a line");
+        let mut child = spawn(Path::new("."), &format!("explore --quiet --format {format}"));
+        let line = first_line(&mut child);
         let address = match format {
             "json" => serde_json::from_str::<serde_json::Value>(&line).expect("one object")["address"]
                 .as_str()
@@ -36,9 +39,7 @@ fn explore_prints_its_address_and_ends_with_ctrl_c() {
             _ => line.trim_end().to_owned(),
         };
         assert!(address.starts_with("http://127.0.0.1:") && address.ends_with('/'), "{address}");
-        let interrupted = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill is there");
-        assert!(interrupted.success());
-        assert_eq!(child.wait().expect("ends").code(), Some(0));
+        assert_eq!(exit_code(&interrupt(child)), 0);
     }
 }
 
@@ -46,14 +47,10 @@ fn explore_prints_its_address_and_ends_with_ctrl_c() {
 #[test]
 fn explore_opens_a_campaign_that_is_named_first() {
     let folder = temp_folder();
-    let search = ["falsify", "--controller", "idm", "--budget", "1", "--out", "found"];
-    assert_eq!(exit_code(&run_crumple(folder.path(), &search)), 0);
-    for (what, page) in [(["found", "paper-1"], "/campaigns"), (["paper-1", "found"], "/")] {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
-        command.arg("explore").args(what).args(["--quiet", "--format", "json"]).current_dir(folder.path());
-        let mut child = command.stdout(Stdio::piped()).spawn().expect("starts");
-        let mut line = String::new();
-        BufReader::new(child.stdout.take().expect("piped")).read_line(&mut line).expect("a line");
+    run_ok(folder.path(), "falsify --controller idm --budget 1 --out found");
+    for (what, page) in [("found paper-1", "/campaigns"), ("paper-1 found", "/")] {
+        let mut child = spawn(folder.path(), &format!("explore {what} --quiet --format json"));
+        let line = first_line(&mut child);
         child.kill().expect("it runs");
         child.wait().expect("ends");
         let printed: serde_json::Value = serde_json::from_str(&line).expect("one object");
@@ -65,28 +62,17 @@ fn explore_opens_a_campaign_that_is_named_first() {
 #[test]
 fn explore_refuses_unsupported_inputs() {
     let folder = temp_folder();
-    let refused = |arguments: &[&str], message: &str| {
-        let output = run_crumple(folder.path(), &[&["explore"], arguments].concat());
-        let text = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(exit_code(&output) == 2 && text.contains(message) && text.lines().count() == 1, "{text}");
+    let refused = |arguments: &str, message: &str| {
+        let output = run_crumple(folder.path(), &format!("explore {arguments}"));
+        assert_refused(&output, message);
+        assert_eq!(stderr(&output).lines().count(), 1, "{}", stderr(&output));
     };
-    refused(&["no-such-scenario"], "neither a built-in scenario");
-    refused(&["."], "the folder holds no campaign");
-    refused(&["--out", "nowhere"], "no such folder");
-    refused(&["--controller", "idm", "--controller", "idm"], "given twice");
+    refused("no-such-scenario", "neither a built-in scenario");
+    refused(".", "the folder holds no campaign");
+    refused("--out nowhere", "no such folder");
+    refused("--controller idm --controller idm", "given twice");
     refused(
-        &[
-            "--controller",
-            "idm",
-            "--controller",
-            "rss",
-            "--controller",
-            "baseline",
-            "--controller",
-            "policy",
-            "--controller",
-            "retrained",
-        ],
+        "--controller idm --controller rss --controller baseline --controller policy --controller retrained",
         "at most 4",
     );
 }

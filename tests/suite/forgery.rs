@@ -23,6 +23,7 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use crate::networks::{controller_corpus, controller_kind};
 use changes::{ForgedCertificate, GenuineCertificate, forge};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -185,13 +186,9 @@ fn reach_certificate(controller: impl Into<ControllerKind>, of_leader: &str) -> 
     }
 }
 
-fn controller_corpus_path(name: &str) -> std::path::PathBuf {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers").join(name)
-}
-
 fn cruise_certificate(cells: u32) -> GenuineCertificate {
     let plan =
-        CruisePlan::new(NetworkFile::load(&controller_corpus_path("acc-5x20.onnx")).expect("there")).expect("fits");
+        CruisePlan::new(NetworkFile::load(&controller_corpus().join("acc-5x20.onnx")).expect("there")).expect("fits");
     let certificate = plan.prove(cells).expect("bounded").certificate;
     GenuineCertificate { certificate, policy: Some(plan.network_bytes().to_vec()), scenario: None }
 }
@@ -209,10 +206,7 @@ fn genuine_certificates() -> Vec<GenuineCertificate> {
     ]);
     all.extend([rate_certificate("idm", None, 200), rate_certificate("idm", Some("baseline"), 150)]);
     all.extend([reach_certificate(Policy::reference(), ""), reach_certificate(Policy::retrained(), "")]);
-    all.push(reach_certificate(
-        NamedController::find("leaky-40-clip.onnx", &controller_corpus_path("")).expect("there").kind,
-        "",
-    ));
+    all.push(reach_certificate(controller_kind("leaky-40-clip.onnx"), ""));
     // One is verified, and one is falsified by a leader within the limit.
     all.extend(
         [0.02, 7.5]
@@ -222,7 +216,7 @@ fn genuine_certificates() -> Vec<GenuineCertificate> {
         ["idm", "acc-aeb"].map(|law| reach_certificate(Policy::reference(), &format!("follower_drives = \"{law}\"\n"))),
     );
     // A residual policy.
-    let road = Policy::load(&controller_corpus_path("../policy/road.safetensors")).expect("there");
+    let road = Policy::load(&controller_corpus().join("../policy/road.safetensors")).expect("there");
     all.push(reach_certificate(std::sync::Arc::new(road), ""));
     all.extend([cruise_certificate(1), cruise_certificate(2)]);
     let kernel = |(_, certificate)| GenuineCertificate { certificate, policy: None, scenario: None };

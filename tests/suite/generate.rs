@@ -10,12 +10,31 @@ use crumple_fuzzing::{
     TEST_CASE_BYTES, TestCase,
 };
 use crumple_world::control::ControllerSpec;
-use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec};
+use crumple_world::scenario::{
+    Driver, Environment, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleSpec,
+};
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
 use proptest::prelude::*;
+use proptest::strategy::ValueTree;
+use proptest::test_runner::TestRunner;
 
 pub(crate) fn simulate_traced(scenario: &Scenario, options: &RunOptions) -> SimulationResult {
     simulate(&Run::new(scenario, options.clone()).expect("fits"), RecordingLevel::Trace)
+}
+
+/// Returns a specification with default sensors, a dry road and seed 0.
+pub(crate) fn scenario_spec(name: &str, step_s: f64, duration_s: f64, vehicles: Vec<VehicleSpec>) -> ScenarioSpec {
+    ScenarioSpec {
+        version: SCENARIO_VERSION,
+        name: name.to_owned(),
+        about: String::new(),
+        duration_s,
+        step_s,
+        seed: 0,
+        environment: Environment::default(),
+        sensors: Sensors::default(),
+        vehicles,
+    }
 }
 
 /// Checks an oracle; a test case that rounding decides does not count.
@@ -25,6 +44,12 @@ pub(crate) fn check_oracle(test_case: &TestCase, oracle: OracleFn) -> Result<(),
         Ok(OracleOutcome::Undecided) => Err(TestCaseError::reject("rounding decides it")),
         Err(violation) => Err(TestCaseError::fail(violation.to_string())),
     }
+}
+
+/// Returns the first values of a strategy with the fixed seed of proptest.
+pub(crate) fn first_values<S: Strategy>(count: usize, strategy: &S) -> impl Iterator<Item = S::Value> + use<'_, S> {
+    let mut runner = TestRunner::deterministic();
+    (0..count).map(move |_| strategy.new_tree(&mut runner).expect("generates").current())
 }
 
 /// Random bytes of a fixed length: only values shrink.

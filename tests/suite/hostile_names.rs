@@ -11,7 +11,7 @@ use pulldown_cmark::{Event, Options, Parser, Tag};
 use saphyr::LoadableYamlNode;
 
 use crate::assessments::{config, run};
-use crate::command_line::{exit_code, run_crumple, temp_folder};
+use crate::command_line::{command, exit_code, temp_folder};
 
 /// For fields that exclude control characters.
 const NAME: &str =
@@ -142,7 +142,7 @@ fn terminals_show_hostile_names_as_text() {
         (2, &[FILE]),
     ];
     for (expected, arguments) in commands {
-        let output = run_crumple(folder.path(), arguments);
+        let output = command(folder.path(), "").args(*arguments).output().expect("starts");
         let (message, noted) = (String::from_utf8(output.stdout.clone()), String::from_utf8(output.stderr.clone()));
         let (message, noted) = (message.expect("text"), noted.expect("text"));
         assert_eq!(exit_code(&output), *expected, "{arguments:?}: {noted}");

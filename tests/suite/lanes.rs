@@ -12,10 +12,8 @@ use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, LaneChange};
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Track, simulate};
 use proptest::prelude::*;
-use proptest::strategy::ValueTree;
-use proptest::test_runner::TestRunner;
 
-use crate::generate::{any_lane_case, check_oracle, with_cases};
+use crate::generate::{any_lane_case, check_oracle, first_values, with_cases};
 
 proptest! {
     #![proptest_config(with_cases(256))]
@@ -36,8 +34,7 @@ proptest! {
 }
 
 fn first_lane_cases(count: usize) -> Vec<TestCase> {
-    let mut runner = TestRunner::deterministic();
-    (0..count).map(|_| any_lane_case().new_tree(&mut runner).unwrap().current()).collect()
+    first_values(count, &any_lane_case()).collect()
 }
 
 /// Generated scenarios change lanes by every trigger, and the oracles for lanes are decided.

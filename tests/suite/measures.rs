@@ -37,7 +37,7 @@ fn five_measures_of_the_report_follow_from_the_exported_trace() {
         fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/reports/assessment.json")).expect("committed");
     let report: Value = serde_json::from_str(&report).expect("JSON");
     for controller in ["match-leader", "constant-brake", "idm", "policy"] {
-        let arguments = ["simulate", "paper-1", "--controller", controller, "--trace", "trace.csv"];
+        let arguments = format!("simulate paper-1 --controller {controller} --trace trace.csv");
         assert_eq!(exit_code(&run_crumple(folder.path(), &arguments)), 0);
         let tracks = parse_tracks(&fs::read_to_string(folder.path().join("trace.csv")).expect("written"));
         let (ahead, own) = (&tracks[0], &tracks[1]);

@@ -16,12 +16,23 @@ use crumple_world::sim::{
 use rand::{RngExt, SeedableRng};
 use rand_xoshiro::Xoshiro256PlusPlus;
 use serde::Deserialize;
+use tempfile::TempDir;
 
-use crate::command_line::{exit_code, run_crumple};
+use crate::command_line::{exit_code, json_objects, run_crumple, run_ok, stderr, stdout, temp_folder};
 use crate::schema::{assert_committed, validate};
+use crate::tiny::assert_contains;
 
-fn controller_corpus() -> PathBuf {
+pub(crate) fn controller_corpus() -> PathBuf {
     Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers")
+}
+
+/// Creates a folder with some files of the corpus.
+pub(crate) fn folder_with(names: &[&str]) -> TempDir {
+    let folder = temp_folder();
+    for name in names {
+        fs::copy(controller_corpus().join(name), folder.path().join(name)).unwrap();
+    }
+    folder
 }
 
 /// Observations, and the answers of the network's original framework.
@@ -84,7 +95,7 @@ fn networks_agree_with_their_makers() {
     }
 }
 
-fn controller_kind(name: &str) -> ControllerKind {
+pub(crate) fn controller_kind(name: &str) -> ControllerKind {
     NamedController::find(name, &controller_corpus()).unwrap_or_else(|error| panic!("{error}")).kind
 }
 
@@ -158,10 +169,7 @@ fn the_network_of_the_arch_benchmarks_shape_follows() {
 /// still finds its controller, and refuses another one in its place.
 #[test]
 fn scenario_files_take_drivers_from_files() {
-    let folder = tempfile::tempdir().unwrap();
-    for name in ["acc-5x20.onnx", "acc.toml"] {
-        fs::copy(controller_corpus().join(name), folder.path().join(name)).unwrap();
-    }
+    let folder = folder_with(&["acc-5x20.onnx", "acc.toml"]);
     let text = FOLLOWING.replace("\"under-test\"", "{ file = { path = \"acc.toml\" } }");
     let path = folder.path().join("following.toml");
     fs::write(&path, &text).unwrap();
@@ -206,8 +214,7 @@ fn the_controller_files_of_the_corpus_follow_the_schema() {
 
 #[test]
 fn the_identity_of_a_network_covers_everything_that_affects_driving() {
-    let folder = tempfile::tempdir().unwrap();
-    fs::copy(controller_corpus().join("acc-5x20.onnx"), folder.path().join("acc-5x20.onnx")).unwrap();
+    let folder = folder_with(&["acc-5x20.onnx"]);
     let text = fs::read_to_string(controller_corpus().join("acc.toml")).unwrap();
     let identity = |text: &str| {
         fs::write(folder.path().join("a.toml"), text).unwrap();
@@ -223,8 +230,7 @@ fn the_identity_of_a_network_covers_everything_that_affects_driving() {
 
 #[test]
 fn controller_files_are_refused_by_file_line_and_field() {
-    let folder = tempfile::tempdir().unwrap();
-    fs::copy(controller_corpus().join("acc-5x20.onnx"), folder.path().join("acc-5x20.onnx")).unwrap();
+    let folder = folder_with(&["acc-5x20.onnx"]);
     let text = fs::read_to_string(controller_corpus().join("acc.toml")).unwrap();
     let cases = [
         ("version = 1", "version = 2", "a.toml:2: version: version 2 is not supported"),
@@ -253,7 +259,7 @@ fn controller_files_are_refused_by_file_line_and_field() {
             "a.toml:5: history_padding: unknown variant `ones`",
         ),
         ("high_mps2 = 3.0", "high_mps2 = -9", "a.toml:30: output.low_mps2: must be below high_mps2"),
-        ("acc-5x20.onnx", "none.onnx", "none.onnx: No such file"),
+        ("acc-5x20.onnx", "none.onnx", "a.toml:3: network: there is no file "),
         ("acc-5x20.onnx", "a.toml", "a network's file ends in .onnx, or in .zip"),
     ];
     for (was, is, message) in cases {
@@ -281,7 +287,7 @@ fn networks_that_need_a_controller_file_say_so() {
             assert!(error.contains(message) && error.contains("docs/controllers.md"), "{error}");
         }
     }
-    let folder = tempfile::tempdir().unwrap();
+    let folder = temp_folder();
     fs::copy(controller_corpus().join("sac-gsde.zip"), folder.path().join("m.zip")).unwrap();
     assert!(NamedController::find("m.zip", folder.path()).is_ok());
     fs::write(folder.path().join("vecnormalize.pkl"), "").unwrap();
@@ -307,7 +313,7 @@ fn a_model_behind_vec_normalize_needs_its_statistics() {
         [Trace::None, Trace::Unknown]
     );
 
-    let folder = tempfile::tempdir().unwrap();
+    let folder = temp_folder();
     let described = fs::read_to_string(normalised_path("ppo.toml")).unwrap();
     let undescribed = described.replace("normalised = true\n", "");
     let find = |text: &str| {
@@ -316,16 +322,9 @@ fn a_model_behind_vec_normalize_needs_its_statistics() {
     };
     fs::copy(normalised_path("ppo.zip"), folder.path().join("ppo.zip")).unwrap();
     let message = find(&undescribed).expect_err("not told").to_string();
-    assert!(
-        message.contains("a.toml:1: normalised: is missing: ") && message.contains("its data shows that"),
-        "{message}"
-    );
+    assert_contains(&message, &["a.toml:1: normalised: is missing: ", "its data shows that"]);
     let message = NamedController::find("ppo.zip", folder.path()).expect_err("not told").to_string();
-    assert!(
-        message.contains("its data shows that it was trained with VecNormalize")
-            && message.contains("`normalised = true`"),
-        "{message}"
-    );
+    assert_contains(&message, &["its data shows that it was trained with VecNormalize", "`normalised = true`"]);
     let identity = find(&described).unwrap();
     // A statement about training does not change the controller.
     assert_eq!(find(&undescribed.replacen("version = 1", "version = 1\nnormalised = false", 1)).unwrap(), identity);
@@ -365,10 +364,7 @@ fn a_model_behind_vec_normalize_answers_as_its_maker() {
 /// The driving output must be named if there are several; a model's spaces are compared with the controller file.
 #[test]
 fn mismatches_with_a_model_are_reported() {
-    let folder = tempfile::tempdir().unwrap();
-    for name in ["a2c.zip", "elu-7-5.onnx"] {
-        fs::copy(controller_corpus().join(name), folder.path().join(name)).unwrap();
-    }
+    let folder = folder_with(&["a2c.zip", "elu-7-5.onnx"]);
     let find = |text: &str| {
         fs::write(folder.path().join("a.toml"), text).unwrap();
         NamedController::find("a.toml", folder.path())
@@ -395,16 +391,16 @@ fn mismatches_with_a_model_are_reported() {
     let message =
         find(&fitting.replace("[output]", "[output]\noffset_mps2 = 20.0")).expect_err("one action").to_string();
     assert!(message.contains("output: excludes every action of the model: actions of -7.5 to 3"), "{message}");
-    let noted = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "shield:a2c.zip"]);
+    let noted = run_crumple(folder.path(), "simulate paper-1 --controller shield:a2c.zip");
     assert_eq!(exit_code(&noted), 2);
     fs::write(folder.path().join("a.toml"), &unscaled).unwrap();
-    let noted = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "shield:a.toml"]);
-    let message = String::from_utf8_lossy(&noted.stderr).into_owned();
+    let noted = run_crumple(folder.path(), "simulate paper-1 --controller shield:a.toml");
+    let message = stderr(&noted);
     assert!(
         message.starts_with("note: shield:a.toml: in ordinary driving") && message.lines().count() == 1,
         "{message}"
     );
-    let quiet = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "shield:a.toml", "--quiet"]);
+    let quiet = run_crumple(folder.path(), "simulate paper-1 --controller shield:a.toml --quiet");
     assert!(quiet.stderr.is_empty() && quiet.stdout == noted.stdout);
 
     let several = "version = 1\nnetwork = \"elu-7-5.onnx\"\ndecision_interval_s = 0.1\n\
@@ -419,7 +415,7 @@ fn mismatches_with_a_model_are_reported() {
 /// `model.save("ppo_0.5")` writes no `.zip`.
 #[test]
 fn a_model_is_known_by_its_first_bytes_and_a_name_without_its_ending_is_guessed() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = temp_folder();
     for name in ["ppo_0.5", "plain", "m.zip"] {
         fs::copy(controller_corpus().join("ppo.zip"), folder.path().join(name)).unwrap();
     }
@@ -434,17 +430,16 @@ fn a_model_is_known_by_its_first_bytes_and_a_name_without_its_ending_is_guessed(
 /// The printed controller file works for any network.
 #[test]
 fn described_networks_drive() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = temp_folder();
     let names = ["ppo.zip", "sac.zip", "td3.zip", "acc-5x20.onnx", "elu-7-5.onnx", "normalised/ppo.zip"];
     for name in names {
         let path = controller_corpus().join(name).display().to_string();
-        let described = run_crumple(folder.path(), &["describe", &path]);
-        assert_eq!(exit_code(&described), 0, "{}", String::from_utf8_lossy(&described.stderr));
+        let described = run_ok(folder.path(), &format!("describe '{path}'"));
         fs::write(folder.path().join("a.toml"), &described.stdout).unwrap();
         let found = NamedController::find("a.toml", folder.path()).unwrap_or_else(|error| panic!("{name}: {error}"));
-        let json = run_crumple(folder.path(), &["describe", &path, "--format", "json"]);
-        let json: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
-        let text = String::from_utf8_lossy(&described.stdout).into_owned();
+        let json = run_crumple(folder.path(), &format!("describe '{path}' --format json"));
+        let json = &json_objects(&json)[0];
+        let text = stdout(&described);
         assert!(text.ends_with(json["controller_file"].as_str().unwrap()), "{name}");
         if name == "normalised/ppo.zip" {
             let ControllerKind::Network(controller) = found.kind else { panic!("a network") };
@@ -458,28 +453,21 @@ fn described_networks_drive() {
 /// A network that limits its outputs needs a scale to m/s²: without it the vehicle accelerates by at most 1 m/s².
 #[test]
 fn the_draft_of_a_network_that_limits_its_answers_scales_them() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = temp_folder();
     let drafted = |name: &str| {
-        let described =
-            run_crumple(folder.path(), &["describe", &controller_corpus().join(name).display().to_string()]);
-        assert_eq!(exit_code(&described), 0, "{}", String::from_utf8_lossy(&described.stderr));
+        let path = controller_corpus().join(name);
+        let described = run_ok(folder.path(), &format!("describe '{}'", path.display()));
         fs::write(folder.path().join("a.toml"), &described.stdout).unwrap();
         let found = NamedController::find("a.toml", folder.path()).unwrap_or_else(|error| panic!("{name}: {error}"));
         let ControllerKind::Network(controller) = found.kind else { panic!("a network") };
         let output = controller.mapping().output.clone();
         assert_eq!(output.squash, None, "{name}");
-        let text = String::from_utf8_lossy(&described.stdout).into_owned();
-        (text, [output.offset_mps2, output.scale_mps2])
+        (stdout(&described).to_owned(), [output.offset_mps2, output.scale_mps2])
     };
-    for (name, bounds, expected) in [
-        ("reference.onnx", "-1.0 to 1.0", [-2.25, 5.25]),
-        ("tanh-33-17.onnx", "-1.0 to 1.0", [-2.25, 5.25]),
-        ("td3.zip", "-1.0 to 1.0", [-2.25, 5.25]),
-        ("sac-gsde.zip", "-1.0 to 1.0", [-2.25, 5.25]),
-    ] {
+    for name in ["reference.onnx", "tanh-33-17.onnx", "td3.zip", "sac-gsde.zip"] {
         let (text, found) = drafted(name);
-        assert_eq!(found, expected, "{name}");
-        assert!(text.contains(&format!("limits its outputs to {bounds}: ")), "{text}");
+        assert_eq!(found, [-2.25, 5.25], "{name}");
+        assert_contains(&text, &["limits its outputs to -1.0 to 1.0: "]);
     }
     // The outputs are accelerations already: from -7.5 to 3 m/s².
     assert_eq!(drafted("sac.zip").1, [0.0, 1.0]);
@@ -530,13 +518,13 @@ fn run_example(script: &str, needs: &str, arguments: &[&str], folder: &Path) -> 
     }
     let script = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/controllers").join(script);
     let done = python(&[&[script.to_str().unwrap()], arguments].concat()).unwrap();
-    assert!(done.status.success(), "{}", String::from_utf8_lossy(&done.stderr));
+    assert!(done.status.success(), "{}", stderr(&done));
     true
 }
 
 #[test]
 fn the_examples_make_controllers() {
-    let folder = tempfile::tempdir().unwrap();
+    let folder = temp_folder();
     let scenario = file::from_toml(FOLLOWING, Path::new("following.toml")).unwrap();
     let drive = |name: &str| {
         let controller = NamedController::find(name, folder.path()).unwrap_or_else(|error| panic!("{error}"));
@@ -555,39 +543,33 @@ fn the_examples_make_controllers() {
 /// A campaign resumes with its original network under any file name, and with no other network.
 #[test]
 fn a_campaign_goes_on_by_the_identity_of_a_network() {
-    let folder = tempfile::tempdir().unwrap();
-    for name in ["acc-5x20.onnx", "acc.toml"] {
-        fs::copy(controller_corpus().join(name), folder.path().join(name)).unwrap();
-    }
-    let campaign = |resume: &[&str]| {
-        let asked = ["falsify", "--controller", "acc.toml", "--space", "high-risk", "--budget", "30", "--out", "out"];
-        run_crumple(folder.path(), &[&asked, resume].concat())
+    let folder = folder_with(&["acc-5x20.onnx", "acc.toml"]);
+    let campaign = |resume: &str| {
+        let asked = "falsify --controller acc.toml --space high-risk --budget 30 --out out";
+        run_crumple(folder.path(), &format!("{asked} {resume}"))
     };
-    let first = campaign(&[]);
-    assert!(first.status.success() || exit_code(&first) == 1, "{}", String::from_utf8_lossy(&first.stderr));
+    let first = campaign("");
+    assert!(first.status.success() || exit_code(&first) == 1, "{}", stderr(&first));
     let summary = fs::read(folder.path().join("out/summary.json")).unwrap();
-    assert_eq!(exit_code(&campaign(&["--resume"])), exit_code(&first));
+    assert_eq!(exit_code(&campaign("--resume")), exit_code(&first));
     assert_eq!(fs::read(folder.path().join("out/summary.json")).unwrap(), summary);
     let text = fs::read_to_string(controller_corpus().join("acc.toml")).unwrap();
     fs::write(folder.path().join("acc.toml"), text.replace("1.4 #", "1.5 #")).unwrap();
-    let other = campaign(&["--resume"]);
-    assert_eq!(exit_code(&other), 2, "{}", String::from_utf8_lossy(&other.stderr));
+    let other = campaign("--resume");
+    assert_eq!(exit_code(&other), 2, "{}", stderr(&other));
 }
 
 /// The files next to a report make the same controllers, so its commands reproduce its results.
 #[test]
 fn a_report_of_networks_can_be_replayed_from_its_folder() {
-    let folder = tempfile::tempdir().unwrap();
-    for name in ["ppo.zip", "acc-5x20.onnx", "acc.toml"] {
-        fs::copy(controller_corpus().join(name), folder.path().join(name)).unwrap();
-    }
+    let folder = folder_with(&["ppo.zip", "acc-5x20.onnx", "acc.toml"]);
     let config = "version = 1\ncontrollers = [\"baseline\", \"ppo.zip\", \"shield:acc.toml\"]\npaper = false\ndraws = \
         20\n\
                   everyday_draws = 1\ncertificates = []\nrates = { runs = 0 }\ndistributions = [\"paper\"]\n\
                   search = { spaces = [\"high-risk\"], budget = 20 }\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
-    let assessed = run_crumple(folder.path(), &["assess", "a.toml", "--out", "report"]);
-    assert_eq!(exit_code(&assessed), 0, "{}", String::from_utf8_lossy(&assessed.stderr));
+    let assessed = run_crumple(folder.path(), "assess a.toml --out report");
+    assert_eq!(exit_code(&assessed), 0, "{}", stderr(&assessed));
     let report = folder.path().join("report");
     let there = |name: &str| {
         let identity = controller_kind(name).identity().unwrap();

@@ -6,11 +6,10 @@
 
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{
-    Driver, Environment, LaneChange, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass,
-    VehicleSpec,
-};
+use crumple_world::scenario::{Driver, LaneChange, LeadProfile, Scenario, VehicleClass, VehicleSpec};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
+
+use crate::generate::scenario_spec;
 
 /// Speeds of both vehicles in km/h, and the number of runs of `comparison_cut_in.py` in which `CC_human_driver`
 /// collides with the side and with the rear of the vehicle that cuts in. Above 60 km/h there are 1080 runs, else 1062.
@@ -136,18 +135,8 @@ fn collides(own_mps: f64, other_mps: f64, gap_m: f64) -> bool {
     let mut other =
         vehicle(gap_m + VehicleClass::Light.length_m(), other_mps, Driver::Profile(LeadProfile::ConstantSpeed));
     other.enters = Some(LaneChange::At(0.0));
-    let scenario = Scenario::new(ScenarioSpec {
-        version: SCENARIO_VERSION,
-        name: "cut-in".to_owned(),
-        about: String::new(),
-        duration_s: 8.0,
-        step_s: 0.01,
-        seed: 0,
-        environment: Environment::default(),
-        sensors: Sensors::default(),
-        vehicles: vec![other, vehicle(0.0, own_mps, Driver::UnderTest)],
-    });
-    let scenario = scenario.unwrap();
+    let vehicles = vec![other, vehicle(0.0, own_mps, Driver::UnderTest)];
+    let scenario = Scenario::new(scenario_spec("cut-in", 0.01, 8.0, vehicles)).unwrap();
     let driver = ControllerSpec::from_name("competent-human").unwrap();
     let run = Run::new(&scenario, RunOptions::new(driver).with_estimator(EstimatorKind::Truth)).unwrap();
     simulate(&run, RecordingLevel::Summary).outcome.contact().is_some()

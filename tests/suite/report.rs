@@ -1,5 +1,6 @@
 //! The committed report is current.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
 use std::sync::LazyLock;
@@ -104,17 +105,11 @@ fn the_committed_report_is_current() {
     }
     for folder in ["counterexamples", "certificates", "figures"] {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports");
-        for path in files_below(&root.join(folder)) {
+        for path in crate::documentation::files_below(root.join(folder)) {
             let name = path.strip_prefix(&root).expect("below").to_string_lossy().into_owned();
             assert!(files.iter().any(|(known, _)| *known == name), "reports/{name} belongs to no assessment");
         }
     }
-}
-
-fn files_below(folder: &Path) -> Vec<std::path::PathBuf> {
-    let entries = fs::read_dir(folder).unwrap_or_else(|error| panic!("{}: {error}", folder.display()));
-    let paths = entries.map(|entry| entry.expect("an entry").path());
-    paths.flat_map(|path| if path.is_dir() { files_below(&path) } else { vec![path] }).collect()
 }
 
 /// JUnit has one test per gate, which fails if the gate does not hold; refuted claims fail no build.
@@ -319,11 +314,13 @@ fn the_page_is_self_contained_and_its_links_lead_somewhere() {
         let found = page.match_indices(outside).filter(|(at, _)| inside.iter().all(|i| !page[*at..].starts_with(i)));
         assert_eq!(found.count(), 0, "{outside}");
     }
-    let ids: Vec<&str> = page.split("id=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
-    let mut unique = ids.clone();
-    unique.sort_unstable();
-    unique.dedup();
-    assert_eq!(unique.len(), ids.len(), "an id is used twice");
+    assert_links_lead_somewhere(&page);
+}
+
+/// Checks that no identifier stands twice, and that every link within the page leads to one.
+pub(crate) fn assert_links_lead_somewhere(page: &str) {
+    let ids: Vec<&str> = page.split(" id=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
+    assert_eq!(ids.iter().collect::<BTreeSet<_>>().len(), ids.len(), "an identifier stands twice");
     for link in page.split("href=\"#").skip(1).filter_map(|rest| rest.split('"').next()) {
         assert!(ids.contains(&link), "#{link} leads nowhere");
     }

@@ -1,43 +1,16 @@
 //! Scenario files: written scenarios are read back, invalid ones are refused with their line, and the schema is
 //! correct.
 
-use std::path::Path;
-
-use crumple_world::scenario::file::{FileError, from_json, from_toml, to_toml};
+use crumple_fuzzing::ScenarioFormat;
+use crumple_fuzzing::targets::error_line;
 use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names, json_schema};
 use proptest::prelude::*;
 
 use crate::generate::{any_scenario, with_cases};
 use crate::schema::{assert_committed, validate};
 
-fn to_json(scenario: &Scenario) -> String {
-    serde_json::to_string_pretty(scenario.spec()).expect("plain data")
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-enum ScenarioTextFormat {
-    Toml,
-    Json,
-}
-
-impl ScenarioTextFormat {
-    fn write(self, scenario: &Scenario) -> String {
-        match self {
-            Self::Toml => to_toml(scenario).expect("plain data"),
-            Self::Json => to_json(scenario),
-        }
-    }
-
-    fn read(self, text: &str) -> Result<Scenario, FileError> {
-        match self {
-            Self::Toml => from_toml(text, Path::new("f.toml")),
-            Self::Json => from_json(text, Path::new("f.json")),
-        }
-    }
-}
-
-fn any_format() -> impl Strategy<Value = ScenarioTextFormat> {
-    prop_oneof![Just(ScenarioTextFormat::Toml), Just(ScenarioTextFormat::Json)]
+fn any_format() -> impl Strategy<Value = ScenarioFormat> {
+    prop::sample::select(ScenarioFormat::ALL.to_vec())
 }
 
 /// A scenario with arbitrary texts; a name has no control characters.
@@ -47,14 +20,8 @@ fn any_file() -> impl Strategy<Value = Scenario> {
     })
 }
 
-/// Returns the line that an error message names: `file:line: …`.
-fn error_line(message: &str) -> Option<usize> {
-    let rest = message.strip_prefix("f.toml:").or(message.strip_prefix("f.json:"))?;
-    rest.split_once(": ")?.0.parse().ok()
-}
-
 /// Checks that reading does not panic, and that an error names an existing line.
-fn check_error_line(format: ScenarioTextFormat, text: &str) -> Result<(), TestCaseError> {
+fn check_error_line(format: ScenarioFormat, text: &str) -> Result<(), TestCaseError> {
     if let Err(error) = format.read(text) {
         let message = error.to_string();
         let lines = text.bytes().filter(|&byte| byte == b'\n').count() + 1;
@@ -93,7 +60,7 @@ proptest! {
     /// Every valid scenario survives both formats, to the last bit of every number.
     #[test]
     fn files_round_trip_exactly(scenario in any_file(), format in any_format()) {
-        let text = format.write(&scenario);
+        let text = format.to_text(&scenario);
         let back = format.read(&text).map_err(|error| TestCaseError::fail(format!("{error}\n{text}")))?;
         prop_assert_eq!(back.spec(), scenario.spec(), "{}", text);
     }
@@ -111,7 +78,7 @@ proptest! {
         damage in 0..4_u8,
         (place, other) in (any::<prop::sample::Index>(), any::<char>()),
     ) {
-        let text = format.write(&scenario);
+        let text = format.to_text(&scenario);
         let at = place.index(text.len());
         let at = (0..=at).rev().find(|&at| text.is_char_boundary(at)).unwrap();
         let line_end = text[at..].find('\n').map_or(text.len(), |end| at + end + 1);
@@ -134,7 +101,7 @@ proptest! {
         bad in prop::sample::select(vec!["nan", "inf", "-inf", "\"text\"", "1e300", "-1e300", "[[]]", "1e999"]),
     ) {
         // JSON has no NaN or infinity: they would be a different error on the same line.
-        let text = format.write(&scenario);
+        let text = format.to_text(&scenario);
         let numbers = number_ranges(&text);
         let at = numbers[place.index(numbers.len())].clone();
         let line = text[..at.start].matches('\n').count() + 1;
@@ -182,7 +149,7 @@ fn the_schema_accepts_the_built_in_scenarios_and_refuses_nonsense() {
         *changed.pointer_mut(place).expect("there") = value;
         assert!(check(&changed).is_err(), "{place}: the schema accepts {}", changed.pointer(place).unwrap());
         let text = serde_json::to_string(&changed).unwrap();
-        assert!(from_json(&text, Path::new("f.json")).is_err(), "{place}: the program accepts it");
+        assert!(ScenarioFormat::Json.read(&text).is_err(), "{place}: the program accepts it");
     }
     let mut unknown = paper_1.clone();
     unknown["colour"] = serde_json::json!(3);

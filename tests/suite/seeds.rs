@@ -12,24 +12,19 @@ use crumple_fuzzing::{self, LANE_CASE_BYTES, ScenarioFormat, TEST_CASE_BYTES, Te
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, ScenarioBox, avoid, certify};
 use crumple_verify::reach::{BoxDimension, PartitionCell};
 use crumple_verify::{Certificate, ReachClaim, Statement};
-use crumple_world::measure::stl::Formula;
 use crumple_world::policy::{Network, POLICY_VERSION, Policy, PolicyHeader, STATE_LEN};
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::file::load;
+use crumple_world::scenario::file::load_all;
 use crumple_world::sim::{RecordingLevel, Run, simulate};
 use proptest::prelude::*;
-use proptest::strategy::ValueTree;
-use proptest::test_runner::TestRunner;
 
-use crate::generate::{any_scenario, any_test_case};
+use crate::generate::{any_scenario, any_test_case, first_values};
 
 const INPUTS_PER_TARGET: usize = 200;
 
 /// A folder, complete or unfinished, and up to three changes of its files, of four bytes each.
 fn folder_changes() -> Vec<Vec<u8>> {
-    let mut runner = TestRunner::deterministic();
-    let strategy = prop::collection::vec(any::<u8>(), 0..14);
-    (0..INPUTS_PER_TARGET).map(|_| strategy.new_tree(&mut runner).expect("generates").current()).collect()
+    first_values(INPUTS_PER_TARGET, &prop::collection::vec(any::<u8>(), 0..14)).collect()
 }
 
 fn networks() -> Vec<Vec<u8>> {
@@ -76,27 +71,19 @@ fn root() -> &'static Path {
     Path::new(env!("CARGO_MANIFEST_DIR"))
 }
 
-fn first_values<T: std::fmt::Debug>(count: usize, strategy: &impl Strategy<Value = T>) -> Vec<T> {
-    let mut runner = TestRunner::deterministic();
-    (0..count).map(|_| strategy.new_tree(&mut runner).unwrap().current()).collect()
-}
-
 fn corpus_scenarios() -> Vec<(PathBuf, Scenario)> {
-    let files = fs::read_dir(root().join("corpora/scenarios")).unwrap().map(|entry| entry.unwrap().path());
-    let mut paths: Vec<PathBuf> = files.filter(|path| path.extension().is_some_and(|end| end == "toml")).collect();
-    paths.sort();
-    paths.into_iter().filter_map(|path| Some((path.clone(), load(&path).ok()?))).collect()
+    load_all(&root().join("corpora/scenarios")).unwrap()
 }
 
 /// Up to the length of a test case; missing bytes are nominal.
 fn scenarios(bytes: usize) -> Vec<Vec<u8>> {
-    first_values(INPUTS_PER_TARGET, &prop::collection::vec(any::<u8>(), 0..=bytes))
+    first_values(INPUTS_PER_TARGET, &prop::collection::vec(any::<u8>(), 0..=bytes)).collect()
 }
 
 fn scenario_files() -> Vec<Vec<u8>> {
     let kept = corpus_scenarios().into_iter().map(|(path, _)| fs::read(path).unwrap());
-    let generated =
-        first_values(INPUTS_PER_TARGET, &any_scenario()).into_iter().zip(ScenarioFormat::ALL.into_iter().cycle());
+    let strategy = any_scenario();
+    let generated = first_values(INPUTS_PER_TARGET, &strategy).zip(ScenarioFormat::ALL.into_iter().cycle());
     kept.chain(generated.map(|(scenario, format)| format.to_text(&scenario).into_bytes())).collect()
 }
 
@@ -119,13 +106,14 @@ fn policy_files() -> Vec<Vec<u8>> {
         network.parameters_mut().iter_mut().zip(weights.iter().cycle()).for_each(|(to, from)| *to = *from);
         Policy::new(header, network).and_then(|policy| policy.to_bytes())
     });
-    first_values(INPUTS_PER_TARGET, &policy).into_iter().flatten().collect()
+    first_values(INPUTS_PER_TARGET, &policy).flatten().collect()
 }
 
 /// Certificates of kept or generated scenarios, the shipped kernels, and a box under the reference policy.
 fn certificates() -> Vec<Vec<u8>> {
     let kept = corpus_scenarios().into_iter().map(|(_, scenario)| scenario);
-    let generated = first_values(INPUTS_PER_TARGET, &any_scenario());
+    let strategy = any_scenario();
+    let generated = first_values(INPUTS_PER_TARGET, &strategy);
     let proved = kept.chain(generated).filter_map(|scenario| prove(&scenario));
     let kernels = shipped_kernels().into_iter().map(|(_, certificate)| certificate);
     let reach = reach_certificates();
@@ -164,8 +152,8 @@ fn prove(scenario: &Scenario) -> Option<Certificate> {
 fn recordings() -> Vec<Vec<u8>> {
     let kept = fs::read_to_string(root().join("corpora/recordings/synthetic-platoon.csv")).unwrap();
     let beginning: String = kept.split_inclusive('\n').take(40).collect();
-    let simulated = first_values(INPUTS_PER_TARGET, &any_test_case())
-        .into_iter()
+    let strategy = any_test_case();
+    let simulated = first_values(INPUTS_PER_TARGET, &strategy)
         .flat_map(|test_case| [open_acc_csv(&test_case), car_following_csv(&test_case)]);
     [beginning].into_iter().chain(simulated).map(String::into_bytes).collect()
 }
@@ -217,5 +205,5 @@ fn car_following_csv(test_case: &TestCase) -> String {
 fn formulas() -> Vec<Vec<u8>> {
     let formula = prop::collection::vec(any::<u8>(), 0..80)
         .prop_map(|bytes| crumple_fuzzing::formula_from_bytes(&bytes, &["x", "gap1_m", "v0_mps"], 0.1).unwrap());
-    first_values(INPUTS_PER_TARGET, &formula).iter().map(Formula::to_string).map(String::into_bytes).collect()
+    first_values(INPUTS_PER_TARGET, &formula).map(|formula| formula.to_string().into_bytes()).collect()
 }

@@ -4,7 +4,7 @@ use crumple_world::control::ControllerSpec;
 use crumple_world::control::{ErrorBounds, ShieldSettings, ViabilityKernel};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{
-    Driver, LeadProfile, PiecewiseAcceleration, SCENARIO_VERSION, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
+    Driver, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
 use crumple_world::sim::{
     ControllerKind, Outcome, RecordingLevel, Run, RunError, RunOptions, ShieldRefusal, ShieldedSource,
@@ -14,7 +14,7 @@ use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 
-use crate::generate::with_cases;
+use crate::generate::{scenario_spec, with_cases};
 
 /// An arbitrary leader, and a vehicle under test that can just avoid it.
 #[derive(Debug, Clone)]
@@ -91,15 +91,9 @@ impl Chase {
         vehicles[1].reaction_delay_s = self.delay_s;
         vehicles[1].actuator_lag_s = self.lag_s;
         let spec = ScenarioSpec {
-            version: SCENARIO_VERSION,
-            name: "chase".to_owned(),
-            about: String::new(),
-            duration_s: 15.0,
-            step_s: 0.01,
             seed: self.seed,
             environment: crumple_world::scenario::Environment { friction: self.friction },
-            sensors: crumple_world::scenario::Sensors::default(),
-            vehicles,
+            ..scenario_spec("chase", 0.01, 15.0, vehicles)
         };
         Scenario::new(spec).unwrap()
     }
@@ -109,9 +103,17 @@ fn with_shield(controller: ControllerKind, settings: ShieldSettings) -> Controll
     ShieldedSource { controller, settings }.into()
 }
 
+fn full_throttle() -> ControllerKind {
+    ControllerSpec::FullThrottle(Default::default()).into()
+}
+
+fn shielded_full_throttle() -> ControllerKind {
+    with_shield(full_throttle(), ShieldSettings::default())
+}
+
 fn drivers() -> [ControllerKind; 3] {
     [
-        ControllerSpec::FullThrottle(Default::default()).into(),
+        full_throttle(),
         ControllerSpec::RandomActions(Default::default()).into(),
         ControllerSpec::Policy(Default::default()).into(),
     ]
@@ -164,7 +166,7 @@ proptest! {
             ahead_brake_mps2: Some(chase.classes[0].max_brake_mps2() + more_mps2),
             errors: Some(ErrorBounds { gap_m: 0.2, speed_mps: 0.1, ahead_speed_mps: 0.3 }),
         };
-        let controller = with_shield(ControllerSpec::FullThrottle(Default::default()).into(), settings);
+        let controller = with_shield(full_throttle(), settings);
         let result = simulate_with_truth(&chase.scenario(), controller);
         prop_assert_eq!(result.outcome, Outcome::NoCollision);
     }
@@ -173,7 +175,7 @@ proptest! {
     #[test]
     fn interventions_are_reported_step_by_step(chase in chase(false)) {
         let scenario = chase.scenario();
-        let driver = with_shield(ControllerSpec::FullThrottle(Default::default()).into(), ShieldSettings::default());
+        let driver = shielded_full_throttle();
         let options = RunOptions::new(driver).with_estimator(EstimatorKind::Truth);
         let result = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);
         let trace = result.trace.unwrap();
@@ -254,10 +256,7 @@ fn unsupported_shields_are_refused() {
     let scenario = draw_chases(1).next().unwrap().scenario();
     let refusal = |change: &dyn Fn(&mut ScenarioSpec)| {
         let changed = scenario.edited(|spec| change(spec)).unwrap();
-        let options = RunOptions::new(with_shield(
-            ControllerSpec::FullThrottle(Default::default()).into(),
-            ShieldSettings::default(),
-        ));
+        let options = RunOptions::new(shielded_full_throttle());
         match Run::new(&changed, options) {
             Err(RunError::Shield { vehicle: 1, refusal: why }) => why,
             _ => panic!("not refused"),
@@ -273,10 +272,7 @@ fn unsupported_shields_are_refused() {
 #[test]
 fn a_conflict_with_the_vehicle_behind_is_reported() {
     let scenario = crumple_world::scenario::built_in_scenario("paper-1").unwrap();
-    let result = simulate_with_truth(
-        &scenario,
-        with_shield(ControllerSpec::FullThrottle(Default::default()).into(), ShieldSettings::default()),
-    );
+    let result = simulate_with_truth(&scenario, shielded_full_throttle());
     assert!(result.outcome.contact().is_some_and(|contact| contact.rear_vehicle == 2), "{:?}", result.outcome);
     assert!(result.interventions.iter().any(|one| one.rear_conflict && one.vehicle == 1));
 }
@@ -290,10 +286,7 @@ fn a_vehicle_far_behind_is_no_conflict() {
             spec.vehicles[2].speed_mps = speed_mps;
             (spec.vehicles[2].reaction_delay_s, spec.vehicles[2].actuator_delay_s) = (0.3, 0.1);
         });
-        let result = simulate_with_truth(
-            &scenario.unwrap(),
-            with_shield(ControllerSpec::FullThrottle(Default::default()).into(), ShieldSettings::default()),
-        );
+        let result = simulate_with_truth(&scenario.unwrap(), shielded_full_throttle());
         assert!(!result.interventions.is_empty());
         result.interventions.iter().any(|one| one.rear_conflict)
     };
@@ -311,7 +304,7 @@ fn a_livelier_vehicle_ahead_is_kept_farther_away() {
             spec.vehicles.truncate(2);
         });
         let settings = ShieldSettings { ahead_brake_mps2: Some(6.0), errors: None };
-        let options = RunOptions::new(with_shield(ControllerSpec::FullThrottle(Default::default()).into(), settings));
+        let options = RunOptions::new(with_shield(full_throttle(), settings));
         let scenario = scenario.unwrap();
         let result = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Summary);
         result.interventions.first().expect("it has to brake").from_s

@@ -1,9 +1,7 @@
 //! Reports of suites: pages, crash maps, tolerances, and suites in assessments.
 
-use std::collections::BTreeSet;
 use std::fs;
 use std::path::Path;
-use std::process::Command;
 
 use crumple_core::observer::Quiet;
 use crumple_report::assessment::{
@@ -12,15 +10,12 @@ use crumple_report::assessment::{
 use crumple_report::suite::render_html;
 use crumple_suites::{DISCLAIMER, MarginEnd, SweepFailure, TestSuite, run};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::NamedController;
 
 use crate::assessments::config;
-use crate::command_line::{exit_code, run_crumple, temp_folder};
+use crate::command_line::{assert_refused, exit_code, run_crumple, run_ok, run_on_threads, temp_folder};
+use crate::report::assert_links_lead_somewhere;
+use crate::suites::{OWN_SUITE, find_controller, first_result, load_suite};
 use crate::tiny::replace_passages;
-
-fn find_controller(name: &str) -> NamedController {
-    NamedController::find(name, Path::new("")).unwrap()
-}
 
 /// One self-contained file without external references or duplicate identifiers, in which user text is escaped.
 #[test]
@@ -34,60 +29,43 @@ fn a_page_is_self_contained_and_names_its_subject() {
     assert!(page.matches(DISCLAIMER).count() >= 2 && page.contains("prefers-color-scheme:dark"));
     assert!(!page.contains("<script") && page.contains("&lt;script&gt;") && !page.contains('\u{202e}'));
     assert!(!page.contains("src=") && !page.contains("@import") && !page.contains("url(http"));
-    let links = page.split("href=\"").skip(1).filter_map(|rest| rest.split('"').next());
-    let ids: Vec<&str> = page.split(" id=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
-    assert_eq!(ids.iter().collect::<BTreeSet<_>>().len(), ids.len(), "an identifier stands twice");
-    for link in links {
-        assert!(link.strip_prefix('#').is_some_and(|target| ids.contains(&target)), "{link}");
-    }
+    assert_links_lead_somewhere(&page);
+    assert_eq!(page.matches("href=\"").count(), page.matches("href=\"#").count(), "a link leads out of the page");
     assert!(page.matches("<svg").count() >= 12 && page.contains("&lt;b&gt;euro-ncap-2023-ccrs-"), "failures are drawn");
     assert!(page.contains("prevents it") && page.contains("avoidable: an escape keeps"));
 }
 
-const STANDING_SUITE: &str = r#"version = 1
-name = "stands"
-about = "A vehicle that stands."
-document = "None"
-edition = "First"
-figures_from = "Nothing."
-
-[[clauses]]
-clause = "1"
-says = "Touch nothing."
-
-[[clauses.tests]]
-name = "stands"
-lead = "stopped"
-figures.own_speed = { values = [60.0, 75.0], unit = "km/h", origin = "chosen", tolerance = 2.0 }
-figures.closing_time = { values = [5.0], unit = "s", origin = "chosen" }
-"#;
+/// A suite with a test of two speeds and a tolerance, and without margins.
+pub(crate) fn standing_suite() -> String {
+    let margins = OWN_SUITE.lines().find(|line| line.starts_with("margins")).expect("there");
+    let speeds = "values = [36.0, 50.0], unit = \"km/h\", origin = \"chosen\"";
+    let tolerance = "values = [60.0, 75.0], unit = \"km/h\", origin = \"chosen\", tolerance = 2.0";
+    let changes = [("\"own\"", "\"stands\""), (&format!("{margins}\n"), ""), (speeds, tolerance)];
+    replace_passages(OWN_SUITE, &changes)
+}
 
 /// The baseline stops from at most 75.06 km/h: at 75 it passes, and fails within a tolerance of 2 km/h.
 #[test]
 fn a_tolerance_belongs_to_the_criterion() {
-    let load = |text: &str| TestSuite::from_toml(text, Path::new("stands.toml"));
-    let tested = |text: &str| {
-        let result = run(&load(text).unwrap(), &[find_controller("baseline")], EstimatorKind::Truth).unwrap();
-        result.clauses[0].tests[0].controllers[0].clone()
-    };
-    let with = tested(STANDING_SUITE);
+    let tested = |text: &str| first_result(&load_suite(text).unwrap(), "baseline");
+    let with = tested(&standing_suite());
     let within = with.worst_in_tolerance.as_ref().expect("a tolerance is searched within");
     assert!(with.verdict.is_passed() && within.verdict.is_failure() && !with.is_passed());
     let speed_kmph: f64 = within.point.split(' ').nth(2).unwrap().parse().unwrap();
     assert!((75.06..=77.0).contains(&speed_kmph), "{}", within.point);
     assert!(within.failures > 0 && within.failures < within.points_run, "points about 60 km/h pass");
-    let without = tested(&replace_passages(STANDING_SUITE, &[(", tolerance = 2.0", "")]));
+    let without = tested(&replace_passages(&standing_suite(), &[(", tolerance = 2.0", "")]));
     assert!(without.worst_in_tolerance.is_none() && without.is_passed());
-    let near = tested(&replace_passages(STANDING_SUITE, &[("75.0", "70.0")]));
+    let near = tested(&replace_passages(&standing_suite(), &[("75.0", "70.0")]));
     assert!(near.is_passed() && near.worst_in_tolerance.is_some());
     for (tolerance, message) in [
-        ("-1.0", "stands.toml:15: clauses[0].tests[0].figures.own_speed.tolerance: must be 0 or more, found -1"),
+        ("-1.0", "own.toml:15: clauses[0].tests[0].figures.own_speed.tolerance: must be 0 or more, found -1"),
         ("nan", "must be 0 or more, found NaN"),
         ("inf", "must be 0 or more, found inf"),
         ("59.0", "own_speed.tolerance: must be from 1.8 to 360 km/h, found 1"),
     ] {
-        let text = replace_passages(STANDING_SUITE, &[("tolerance = 2.0", &format!("tolerance = {tolerance}"))]);
-        let error = load(&text).unwrap_err().to_string();
+        let text = replace_passages(&standing_suite(), &[("tolerance = 2.0", &format!("tolerance = {tolerance}"))]);
+        let error = load_suite(&text).unwrap_err();
         assert!(error.contains(message), "{tolerance}: {error}");
     }
 }
@@ -107,16 +85,15 @@ fn a_margin_reports_a_test_that_cannot_be_run() {
 #[test]
 fn maps_are_independent_of_threads() {
     let folder = temp_folder();
-    let map = |threads: &str, arguments: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
-        command.current_dir(folder.path()).env("RAYON_NUM_THREADS", threads).args(["suite", "map"]);
-        command.args(["cut-in-time", "--controller", "idm", "--cells", "6x5"]).args(arguments).output().unwrap()
+    let map = |threads: &str, arguments: &str| {
+        let asked = "suite map cut-in-time --controller idm --cells 6x5";
+        run_on_threads(folder.path(), threads, &format!("{asked} {arguments}"))
     };
     let names: &[&str] = match cfg!(feature = "png") {
         true => &["m.svg", "m.html", "m.json", "m.png"],
         false => &["m.svg", "m.html", "m.json"],
     };
-    let files: Vec<&str> = names.iter().flat_map(|name| ["--out", name]).collect();
+    let files: String = names.iter().map(|name| format!(" --out {name}")).collect();
     let text = map("1", &files);
     assert_eq!(exit_code(&text), 0);
     let read = |name: &str| fs::read(folder.path().join(name)).unwrap();
@@ -124,7 +101,7 @@ fn maps_are_independent_of_threads() {
     let first = read_all();
     assert_eq!(map("2", &files).stdout, text.stdout);
     assert_eq!(read_all(), first);
-    assert_eq!(map("2", &["--format", "json"]).stdout, first[2]);
+    assert_eq!(map("2", "--format json").stdout, first[2]);
     let text = String::from_utf8(text.stdout).unwrap();
     assert!(text.contains("no certification") && text.contains("reference: r157-simple: contact in"), "{text}");
     let [svg, page, json] = ["m.svg", "m.html", "m.json"].map(read);
@@ -137,20 +114,17 @@ fn maps_are_independent_of_threads() {
     assert_eq!(panels.len(), 5);
     assert!(panels.iter().all(|panel| panel["cells"].as_array().unwrap().len() == 30));
     for (arguments, message) in [
-        (&["car-following", "--time-gap", "0.1"][..], "--time-gap: must be from 0.2 to 10 s, found 0.1"),
-        (&["car-following", "--time-gap", "nan"], "--time-gap: must be from 0.2 to 10 s, found NaN"),
-        (&["cut-in-gap", "--own-speed", "1e9"], "--own-speed: must be from 30 to 250 km/h"),
-        (&["cut-in-gap", "--time-gap", "2"], "--time-gap: has no place on the map cut-in-gap, which holds --own-speed"),
-        (&["car-following", "--own-speed", "100"], "--own-speed: has no place on the map car-following"),
-        (&["cut-in-gap", "--cells", "101x3"], "--cells: must have 2 to 100 cells in each direction, found 101x3"),
-        (&["cut-in-gap", "--cells", "12"], "two numbers of cells"),
-        (&["cut-in-gap", "--out", "m.pdf"], "must end in .svg, .png, .html or .json"),
-        (&["overtaking"], "possible values"),
+        ("car-following --time-gap 0.1", "--time-gap: must be from 0.2 to 10 s, found 0.1"),
+        ("car-following --time-gap nan", "--time-gap: must be from 0.2 to 10 s, found NaN"),
+        ("cut-in-gap --own-speed 1e9", "--own-speed: must be from 30 to 250 km/h"),
+        ("cut-in-gap --time-gap 2", "--time-gap: does not apply to cut-in-gap; use --own-speed"),
+        ("car-following --own-speed 100", "--own-speed: does not apply to car-following; use --time-gap"),
+        ("cut-in-gap --cells 101x3", "--cells: must have 2 to 100 cells in each direction, found 101x3"),
+        ("cut-in-gap --cells 12", "two numbers of cells"),
+        ("cut-in-gap --out m.pdf", "must end in .svg, .png, .html or .json"),
+        ("overtaking", "possible values"),
     ] {
-        let output = run_crumple(folder.path(), &[&["suite", "map"], arguments].concat());
-        assert_eq!(exit_code(&output), 2, "{arguments:?}");
-        let error = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert!(error.contains(message), "{error}");
+        assert_refused(&run_crumple(folder.path(), &format!("suite map {arguments}")), message);
     }
 }
 
@@ -158,7 +132,8 @@ fn maps_are_independent_of_threads() {
 #[test]
 fn suites_are_evidence_of_an_assessment() {
     let folder = temp_folder();
-    fs::write(folder.path().join("own.toml"), replace_passages(STANDING_SUITE, &[(", tolerance = 2.0", "")])).unwrap();
+    fs::write(folder.path().join("own.toml"), replace_passages(&standing_suite(), &[(", tolerance = 2.0", "")]))
+        .unwrap();
     let suite = |suite: &str, controllers: &[&str]| -> SuiteConfig {
         serde_json::from_value(serde_json::json!({ "suite": suite, "controllers": controllers })).unwrap()
     };
@@ -192,13 +167,9 @@ fn suites_are_evidence_of_an_assessment() {
     assert!(junit.contains("suite fmvss-127") && junit.contains("decelerating-lead: full-throttle"), "{junit}");
     assert!(text("replay.sh").contains("counterexamples/suites/fmvss-127-stopped-lead-002.toml"));
     let is_failed = |file: &str| file.starts_with("counterexamples/suites/") && !file.ends_with("-escape.toml");
-    let (name, scenario) = files.iter().find(|(file, _)| is_failed(file)).unwrap();
+    let (_, scenario) = files.iter().find(|(file, _)| is_failed(file)).unwrap();
     fs::write(folder.path().join("failed.toml"), scenario).unwrap();
-    let replayed = run_crumple(
-        folder.path(),
-        &["simulate", "failed.toml", "--controller", "full-throttle", "--expect", "collision"],
-    );
-    assert_eq!(exit_code(&replayed), 0, "{name}");
+    run_ok(folder.path(), "simulate failed.toml --controller full-throttle --expect collision");
     // The escape of an avoidable failure is next to it.
     let outcomes =
         found.suites.iter().flat_map(|part| &part.suites).flat_map(|one| &one.tests).flat_map(|test| &test.outcomes);
@@ -208,11 +179,7 @@ fn suites_are_evidence_of_an_assessment() {
     }
     let escape = worst.iter().find_map(|one| one.escape.as_ref()).expect("something is avoidable");
     fs::write(folder.path().join("escape.toml"), text(&escape.file)).unwrap();
-    assert_eq!(
-        exit_code(&run_crumple(folder.path(), &["simulate", "escape.toml", "--expect", "safe"])),
-        0,
-        "{escape:?}"
-    );
+    run_ok(folder.path(), "simulate escape.toml --expect safe");
     assert!(text("replay.sh").contains(&format!("run simulate {} --expect safe\n", escape.file)), "{escape:?}");
     let (again, (pieces, reused)) = gather();
     assert_eq!(pieces, reused, "nothing is worked out again");

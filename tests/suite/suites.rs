@@ -1,19 +1,18 @@
 //! Test suites modelled on regulations: parameters, files, verdicts and margins.
 
 use std::path::Path;
-use std::process::Command;
 
 use crumple_suites::{
-    LeadManeuver, MarginEnd, Origin, ParameterKind, ParameterUnit, Prevention, ReferenceRun, SHIPPED_SUITES,
-    SweepFailure, TestParameter, TestSuite, TestVerdict, UNSHIPPED_DOCUMENTS, json_schema, run,
+    ControllerResult, LeadManeuver, MarginEnd, Origin, ParameterKind, ParameterUnit, Prevention, ReferenceRun,
+    SHIPPED_SUITES, SweepFailure, TestParameter, TestSuite, TestVerdict, UNSHIPPED_DOCUMENTS, json_schema, run,
 };
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::LaneChange;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
 
-use crate::command_line::{exit_code, run_crumple, temp_folder};
+use crate::command_line::{assert_refused, exit_code, run_crumple, run_ok, run_on_threads, stdout, temp_folder};
 use crate::schema::{assert_committed, validate};
-use crate::tiny::replace_passages;
+use crate::tiny::{assert_contains, replace_passages};
 
 /// A parameter in a document: suite, test, kind, all values or the smallest and the largest, unit.
 type StatedParameter = (&'static str, &'static str, ParameterKind, &'static [f64], ParameterUnit);
@@ -214,7 +213,7 @@ fn the_committed_suite_schema_matches_the_types_and_accepts_shipped_suites() {
     }
 }
 
-const OWN_SUITE: &str = r#"version = 1
+pub(crate) const OWN_SUITE: &str = r#"version = 1
 name = "own"
 about = "A vehicle that stands."
 document = "None"
@@ -233,11 +232,17 @@ figures.own_speed = { values = [36.0, 50.0], unit = "km/h", origin = "chosen" }
 figures.closing_time = { values = [5.0], unit = "s", origin = "chosen" }
 "#;
 
-fn own_suite() -> TestSuite {
-    TestSuite::from_toml(OWN_SUITE, Path::new("own.toml")).unwrap()
+pub(crate) fn load_suite(text: &str) -> Result<TestSuite, String> {
+    TestSuite::from_toml(text, Path::new("own.toml")).map_err(|error| error.to_string())
 }
 
-fn find_controller(name: &str) -> NamedController {
+/// Returns the result of the first test of a suite, with true states.
+pub(crate) fn first_result(suite: &TestSuite, controller: &str) -> ControllerResult {
+    let result = run(suite, &[find_controller(controller)], EstimatorKind::Truth).unwrap();
+    result.clauses[0].tests[0].controllers[0].clone()
+}
+
+pub(crate) fn find_controller(name: &str) -> NamedController {
     NamedController::find(name, Path::new("")).unwrap()
 }
 
@@ -292,24 +297,21 @@ fn bad_suites_are_refused_by_file_line_and_field() {
         ("edition", "editon", "own.toml:5: editon: unknown field `editon`"),
         ("[[clauses]]", "[clauses]", ": clauses"),
     ] {
-        let error = TestSuite::from_toml(&replace_passages(OWN_SUITE, &[(from, to)]), Path::new("own.toml"))
-            .unwrap_err()
-            .to_string();
+        let error = load_suite(&replace_passages(OWN_SUITE, &[(from, to)])).unwrap_err();
         assert!(error.contains(message), "{to}: {error}");
     }
     let values: Vec<_> = (0..100).map(|index| format!("{}.0", 36 + index)).collect();
     let many = replace_passages(OWN_SUITE, &[("[36.0, 50.0]", &format!("[{}]", values.join(",")))]);
     let times: Vec<_> = (0..100).map(|index| format!("5.{index:03}")).collect();
     let many = replace_passages(&many, &[("[5.0]", &format!("[{}]", times.join(",")))]);
-    let error = TestSuite::from_toml(&many, Path::new("own.toml")).unwrap_err().to_string();
+    let error = load_suite(&many).unwrap_err();
     assert!(error.contains("makes 10000 points, and a suite may have at most 2000"), "{error}");
 }
 
 /// The baseline brakes at 7.5 m/s² below a TTC of 1.4 s: v²/15 = 1.4 v at 75.6 km/h, and a step later at 75.06 km/h.
 #[test]
 fn a_margin_ends_where_its_closed_form_does() {
-    let result = run(&own_suite(), &[find_controller("baseline")], EstimatorKind::Truth).unwrap();
-    let tested = &result.clauses[0].tests[0].controllers[0];
+    let tested = first_result(&load_suite(OWN_SUITE).unwrap(), "baseline");
     assert_eq!((&tested.verdict, tested.passed_points, tested.points), (&TestVerdict::Passed, 2, 2));
     let MarginEnd::Boundary { passes_at, fails_at, is_monotone, .. } = tested.margins[0].end else {
         panic!("{:?}", tested.margins);
@@ -327,9 +329,7 @@ fn an_allowed_contact_passes_and_moves_the_margin_by_its_closed_form() {
         OWN_SUITE,
         &[("lead = \"stopped\"", allowed), ("50.0]", "80.0]"), ("to = 100.0", "to = 110.0")],
     );
-    let suite = TestSuite::from_toml(&text, Path::new("own.toml")).unwrap();
-    let result = run(&suite, &[find_controller("baseline")], EstimatorKind::Truth).unwrap();
-    let tested = &result.clauses[0].tests[0].controllers[0];
+    let tested = first_result(&load_suite(&text).unwrap(), "baseline");
     assert_eq!((&tested.verdict, tested.passed_points, tested.failed_points.len()), (&TestVerdict::Passed, 2, 0));
     assert!(tested.min_gap_m.unwrap() <= 0.0, "at 80 km/h there is a contact");
     let MarginEnd::Boundary { passes_at, .. } = tested.margins[0].end else { panic!("{:?}", tested.margins) };
@@ -339,12 +339,8 @@ fn an_allowed_contact_passes_and_moves_the_margin_by_its_closed_form() {
     };
     assert!((closed_form_kmph(0.01) - 0.1..=closed_form_kmph(0.0)).contains(&passes_at), "{passes_at}");
     let strict = replace_passages(&text, &[("value = 36.0", "value = 1.0")]);
-    let result = run(
-        &TestSuite::from_toml(&strict, Path::new("own.toml")).unwrap(),
-        &[find_controller("baseline")],
-        EstimatorKind::Truth,
-    );
-    assert!(result.unwrap().clauses[0].tests[0].controllers[0].verdict.is_failure(), "it is faster than 1 km/h");
+    let tested = first_result(&load_suite(&strict).unwrap(), "baseline");
+    assert!(tested.verdict.is_failure(), "it is faster than 1 km/h");
 }
 
 /// A gap is a length or a time headway; exactly one is stated.
@@ -358,11 +354,8 @@ fn a_gap_is_stated_as_a_length_or_as_a_time_and_once() {
     let text = text.replace("[36.0, 50.0]", "[36.0]");
     let gap = "figures.gap = { values = [12.0], unit = \"m\", origin = \"chosen\" }\n";
     let time = "figures.time_gap = { values = [1.2], unit = \"s\", origin = \"chosen\" }\n";
-    let load = |gap: &str| TestSuite::from_toml(&text.replace("GAP", gap), Path::new("own.toml"));
-    let tested = |gap: &str| {
-        let result = run(&load(gap).unwrap(), &[find_controller("match-leader")], EstimatorKind::Truth).unwrap();
-        result.clauses[0].tests[0].controllers[0].clone()
-    };
+    let load = |gap: &str| load_suite(&text.replace("GAP", gap));
+    let tested = |gap: &str| first_result(&load(gap).unwrap(), "match-leader");
     let (by_length, by_time) = (tested(gap), tested(time));
     assert_eq!(by_length.verdict, by_time.verdict);
     assert!((by_length.min_gap_m.unwrap() - by_time.min_gap_m.unwrap()).abs() < 1e-9);
@@ -370,7 +363,7 @@ fn a_gap_is_stated_as_a_length_or_as_a_time_and_once() {
         ("", "figures.gap: is missing: a test with lead = decelerating needs it, or `time_gap`"),
         (&format!("{gap}{time}"), "figures.time_gap: repeats `gap`: state only one of them"),
     ] {
-        let error = load(gap).unwrap_err().to_string();
+        let error = load(gap).unwrap_err();
         assert!(error.contains(message), "{error}");
     }
 }
@@ -613,51 +606,39 @@ fn own_suites_cut_in_and_out() {
 #[test]
 fn a_run_is_the_same_on_one_thread_and_on_two_and_each_failure_replays() {
     let folder = temp_folder();
-    let run = |threads: &str, arguments: &[&str]| {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
-        command.current_dir(folder.path()).env("RAYON_NUM_THREADS", threads).env("NO_COLOR", "1");
-        command.args(["suite", "run", "euro-ncap-2023", "--controller", "full-throttle", "--controller", "policy"]);
-        command.args(arguments).output().unwrap()
+    let run = |threads: &str, arguments: &str| {
+        let asked = "suite run euro-ncap-2023 --controller full-throttle --controller policy";
+        run_on_threads(folder.path(), threads, &format!("{asked} {arguments}"))
     };
-    let json = run("1", &["--format", "json"]);
+    let json = run("1", "--format json");
     assert_eq!(exit_code(&json), 0);
-    assert_eq!(json.stdout, run("2", &["--format", "json"]).stdout);
+    assert_eq!(json.stdout, run("2", "--format json").stdout);
     let message: serde_json::Value = serde_json::from_slice(&json.stdout).unwrap();
     assert!(message["statement"].as_str().unwrap().contains("no certification"));
 
-    let text = run("2", &["--out", "failures", "--expect", "passed"]);
+    let text = run("2", "--out failures --expect passed");
     assert_eq!(exit_code(&text), 1);
-    let text = String::from_utf8(text.stdout).unwrap();
-    let replay = text.lines().find(|line| line.trim().starts_with("crumple simulate ")).expect("a replay");
-    let words = shlex::split(replay.trim()).unwrap();
-    let words: Vec<_> = words.iter().skip(1).map(String::as_str).chain(["--expect", "collision"]).collect();
-    assert_eq!(exit_code(&run_crumple(folder.path(), &words)), 0, "{replay}");
-    let junit = run("2", &["--format", "junit"]);
-    let junit = String::from_utf8(junit.stdout).unwrap();
-    assert!(junit.contains("no certification") && junit.contains("<failure message=\"FAILED, collision"), "{junit}");
+    let replay = stdout(&text).lines().find_map(|line| line.trim().strip_prefix("crumple ")).expect("a replay");
+    run_ok(folder.path(), &format!("{replay} --expect collision"));
+    let junit = run("2", "--format junit");
+    assert_contains(stdout(&junit), &["no certification", "<failure message=\"FAILED, collision"]);
 }
 
 #[test]
 fn listed_suites_are_shown_as_valid_suites() {
     let folder = temp_folder();
-    let list = run_crumple(folder.path(), &["suite", "list"]);
-    let list = String::from_utf8(list.stdout).unwrap();
+    let list = run_crumple(folder.path(), "suite list");
     for (name, _) in SHIPPED_SUITES {
-        assert!(
-            list.contains(name) && list.contains("no certification") && list.contains(UNSHIPPED_DOCUMENTS[0].0),
-            "{list}"
-        );
-        let shown = run_crumple(folder.path(), &["suite", "show", name]).stdout;
+        assert_contains(stdout(&list), &[name, "no certification", UNSHIPPED_DOCUMENTS[0].0]);
+        let shown = run_crumple(folder.path(), &format!("suite show {name}")).stdout;
         std::fs::write(folder.path().join("copy.toml"), &shown).unwrap();
         assert_eq!(TestSuite::load(&folder.path().join("copy.toml")).unwrap(), shipped_suite(name));
     }
     for (arguments, message) in [
-        (&["suite", "run", "no-such", "--controller", "idm"][..], "neither a suite"),
-        (&["suite", "run", "no-such.toml", "--controller", "idm"], "no-such.toml"),
-        (&["suite", "run", "fmvss-127"], "--controller"),
+        ("suite run no-such --controller idm", "neither a suite"),
+        ("suite run no-such.toml --controller idm", "no-such.toml"),
+        ("suite run fmvss-127", "--controller"),
     ] {
-        let output = run_crumple(folder.path(), arguments);
-        assert_eq!(exit_code(&output), 2);
-        assert!(String::from_utf8_lossy(&output.stderr).contains(message));
+        assert_refused(&run_crumple(folder.path(), arguments), message);
     }
 }

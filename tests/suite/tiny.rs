@@ -1,4 +1,12 @@
-//! Presets of fast trainings: tiny networks, and a checkpoint every ten episodes.
+//! Presets of fast trainings, with tiny networks and a checkpoint every ten episodes, and passages of texts.
+
+/// Checks that a text contains some passages.
+#[track_caller]
+pub(crate) fn assert_contains(text: &str, passages: &[&str]) {
+    for passage in passages {
+        assert!(text.contains(passage), "{passage} is missing in: {text}");
+    }
+}
 
 pub(crate) fn replace_passages(text: &str, changes: &[(&str, &str)]) -> String {
     changes.iter().fold(text.to_owned(), |text, (from, to)| {

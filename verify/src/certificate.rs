@@ -21,7 +21,7 @@ pub const FIRST_VERSION: u32 = 1;
 
 /// Caveat of an accepted rate or comparison whose runs were not repeated.
 pub const UNVERIFIED_COUNTS_CAVEAT: &str =
-    "the counts are the maker's word: `crumple check --rerun` draws and simulates again";
+    "the counts are not verified: `crumple check --rerun` simulates the runs again";
 
 /// Maximum size of a file, in bytes.
 pub const MAX_BYTES: usize = 64 << 20;
@@ -108,7 +108,7 @@ impl std::fmt::Display for Assumption {
             }
             Self::ScriptedLeader => "the leader moves as scripted and reacts to no vehicle",
             Self::LatchedFollower => "the follower holds its speed until its latched emergency brake fires",
-            Self::FollowerByLaw => "the follower does at once, at each step, what the stated law asks for",
+            Self::FollowerByLaw => "the follower applies the stated controller's command at each step, without delay",
             Self::EgoWithinLimits => "no vehicle under test brakes or accelerates harder than stated",
             Self::EgoOnProfile => "the vehicles under test follow the stated profile at once",
             Self::LeaderWithinLimit => "the vehicle ahead never brakes harder than stated",
@@ -120,7 +120,7 @@ impl std::fmt::Display for Assumption {
             Self::NetworkAsRead => {
                 "the network is the one of its source file, as crumple read it, with the mapping stated"
             }
-            Self::RegisteredDraws => "runs are independent draws, and were registered before the first of them",
+            Self::RegisteredDraws => "runs are independent samples, registered before the first run",
             Self::NoiseOfSeed => "noise is that of the scenario's seed",
         })
     }

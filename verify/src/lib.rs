@@ -193,15 +193,18 @@ impl std::fmt::Display for ProvedClaim {
         match self {
             Self::Avoidable { min_gap_m: smallest_gap_m, horizon_s, after_horizon: afterwards } => write!(
                 formatter,
-                "avoidable: on the stated profile no gap is ever smaller than {smallest_gap_m} m for {horizon_s} s; \
-                 {afterwards}"
+                "avoidable: on the stated profile no gap is ever smaller than {} m for {horizon_s} s; \
+                 {afterwards}",
+                scope::round_down(*smallest_gap_m)
             ),
             Self::Unavoidable { overlap_m, horizon_s } => write!(
                 formatter,
-                "unavoidable: for every command, two vehicles would overlap by {overlap_m} m or more within \
-                 {horizon_s} s"
+                "unavoidable: for every command, two vehicles would overlap by {} m or more within \
+                 {horizon_s} s",
+                scope::round_down(*overlap_m)
             ),
             Self::GapBound { gap_m, horizon_s } => {
+                let gap_m = scope::round_up(*gap_m);
                 write!(formatter, "gap bound: for every command, some gap is at most {gap_m} m within {horizon_s} s")
             }
             Self::Kernel => formatter.write_str(
@@ -209,6 +212,7 @@ impl std::fmt::Display for ProvedClaim {
                  any other state",
             ),
             Self::Rate { max_rate: at_most, confidence } => {
+                let at_most = scope::round_up(*at_most);
                 write!(formatter, "rate: at most {at_most} at confidence {confidence}, if its counts are right")
             }
             Self::FailsLessOften { confidence } => write!(
@@ -217,8 +221,10 @@ impl std::fmt::Display for ProvedClaim {
             ),
             Self::Cruise { margin_m, x_ego_width_m } => write!(
                 formatter,
-                "adaptive cruise: D_rel - 10 - 1.4 v_ego is never smaller than {margin_m} m for 5 s; all x_ego at the \
-                 end lie within {x_ego_width_m} m"
+                "adaptive cruise: D_rel - 10 - 1.4 v_ego is never smaller than {} m for 5 s; all x_ego at the \
+                 end lie within {} m",
+                scope::round_down(*margin_m),
+                scope::round_up(*x_ego_width_m)
             ),
             // Shares are lower bounds: rounded down.
             Self::Reach { verified_share, falsified_share, .. } if *verified_share <= 0.0 => write!(
@@ -237,9 +243,10 @@ impl std::fmt::Display for ProvedClaim {
                 ..
             } => write!(
                 formatter,
-                "reach: in {:.2} % of the box's volume no gap is ever smaller than {smallest_gap_m} m for {horizon_s} \
-                 s, {}{}; {:.2} % of it is in cells with an initial state that ends in a collision",
+                "reach: in {:.2} % of the box's volume no gap is ever smaller than {} m for {horizon_s} s, {}{}; {:.2} \
+                 % of it is in cells with an initial state that ends in a collision",
                 (1e4 * verified_share).floor() / 1e2,
+                scope::round_down(*smallest_gap_m),
                 limit.map_or_else(String::new, |limit| format!("however the leader brakes at up to {limit} m/s², ")),
                 if *has_follower { "with a vehicle behind" } else { "with no vehicle behind" },
                 (1e4 * falsified_share).floor() / 1e2

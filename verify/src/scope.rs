@@ -85,7 +85,7 @@ impl Certificate {
         // The author of the file chose the name: it must not control a terminal.
         let name = name.escape_debug();
         if self.is_first_version() && !matches!(self.statement, Statement::AdaptiveCruise(_)) {
-            return format!("`{name}` by its own word: version 1 binds a statement to nothing");
+            return format!("`{name}`, as the file states; version 1 does not bind the statement to a text");
         }
         match &self.statement {
             Statement::AdaptiveCruise(_) => "the benchmark of adaptive cruise control of ARCH-COMP AINNCS".to_owned(),
@@ -105,7 +105,7 @@ impl fmt::Display for Scope {
             Some(f64::INFINITY) => write!(out, "for ever")?,
             Some(horizon_s) if *has_afterwards => write!(out, "for {horizon_s} s from the start")?,
             Some(horizon_s) => write!(out, "for {horizon_s} s from the start and no longer")?,
-            None => write!(out, "for how long is not said")?,
+            None => write!(out, "horizon not stated")?,
         }
         vehicles.iter().chain(behind).chain(limits).try_for_each(|line| write!(out, "\n{line}"))
     }
@@ -177,7 +177,7 @@ fn runs_scope(registration: &Registration) -> Scope {
     let horizon_s = registration.configuration.get("horizon_s").and_then(|text| text.parse().ok());
     let controller = |place: &str| {
         format!(
-            "under test: {}, SHA-256 {}, seeing through {}",
+            "under test: {}, SHA-256 {}, with estimator {}",
             of(place),
             of(&format!("{place}_sha256")),
             of("estimator")
@@ -187,8 +187,10 @@ fn runs_scope(registration: &Registration) -> Scope {
     if registration.configuration.contains_key("against") {
         vehicles.push(controller("against"));
     }
-    let (runs, seed, failure) = (registration.runs, of("seed"), of("failure"));
-    let limits = vec![format!("{runs} runs drawn with seed {seed}; a failure is: {failure}")];
+    let (runs, seed) = (registration.runs, of("seed"));
+    // Registrations, which are hashed, keep the first wording.
+    let failure = of("failure").to_string().replacen("vehicles touch", "collision", 1);
+    let limits = vec![format!("{runs} random scenarios, seed {seed}; a failure is: {failure}")];
     partial_scope(horizon_s, vehicles, limits)
 }
 
@@ -254,6 +256,30 @@ fn reach_scope(claim: &ReachClaim) -> Scope {
         format_number(largest)
     )];
     Scope { behind: Some(behind), ..partial_scope(Some(claim.horizon_s()), vehicles, limits) }
+}
+
+/// Rounds a lower bound down to four significant digits.
+pub(crate) fn round_down(bound: f64) -> f64 {
+    round_towards(bound, -1)
+}
+
+/// Rounds an upper bound up to four significant digits.
+pub(crate) fn round_up(bound: f64) -> f64 {
+    round_towards(bound, 1)
+}
+
+/// Rounds to four significant digits, up for a `direction` of 1 and down for -1. Returns a shorter number unchanged.
+fn round_towards(bound: f64, direction: i64) -> f64 {
+    let shortest = format!("{bound:e}");
+    let Some((mantissa, exponent)) = shortest.split_once('e') else { return bound };
+    let digits = mantissa.replace('.', "");
+    let most = 4 + usize::from(bound < 0.0);
+    let kept: Option<i64> = digits.get(..most).and_then(|kept| kept.parse().ok());
+    let (Some(kept), Ok(exponent), true) = (kept, exponent.parse::<i32>(), digits.len() > most) else { return bound };
+    // Dropping digits rounds towards zero.
+    let is_outward = (bound > 0.0) == (direction > 0);
+    let kept = if is_outward { kept + direction } else { kept };
+    format!("{kept}e{}", exponent - 3).parse().unwrap_or(bound)
 }
 
 /// Formats a number; with an exponent only where it would have many zeros.

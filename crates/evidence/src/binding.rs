@@ -180,15 +180,21 @@ fn scene_mismatch() -> BindingError {
     mismatch("statement", "does not match the scenario or box of `provenance`")
 }
 
-fn read_scenario(certificate: &Certificate) -> Result<Scenario, BindingError> {
-    let text = certificate.provenance.scenario_text.as_ref();
-    let text = text.ok_or(BindingError::Missing { field: "provenance.scenario_text" })?;
-    let scenario = file::from_toml(text, Path::new("provenance.scenario_text"))?;
-    if scenario.spec().name == certificate.provenance.scenario {
-        Ok(scenario)
-    } else {
-        Err(mismatch("provenance.scenario", "differs from the name in `scenario_text`"))
+fn scenario_text(certificate: &Certificate) -> Result<&String, BindingError> {
+    certificate.provenance.scenario_text.as_ref().ok_or(BindingError::Missing { field: SCENARIO_TEXT_FIELD })
+}
+
+fn check_name(certificate: &Certificate, name: &str) -> Result<(), BindingError> {
+    match name == certificate.provenance.scenario {
+        true => Ok(()),
+        false => Err(mismatch("provenance.scenario", "differs from the name in `scenario_text`")),
     }
+}
+
+fn read_scenario(certificate: &Certificate) -> Result<Scenario, BindingError> {
+    let scenario = file::from_toml(scenario_text(certificate)?, Path::new(SCENARIO_TEXT_FIELD))?;
+    check_name(certificate, &scenario.spec().name)?;
+    Ok(scenario)
 }
 
 fn is_same_run(claim: &ReachClaim, starts: &InitialSet) -> bool {
@@ -197,6 +203,7 @@ fn is_same_run(claim: &ReachClaim, starts: &InitialSet) -> bool {
             == (starts.follower_ttc_s, starts.follower_law.as_ref())
 }
 
+const SCENARIO_TEXT_FIELD: &str = "provenance.scenario_text";
 const BOX_TEXT_FIELD: &str = "provenance.box_text";
 
 /// True if the vehicle can execute all commands of the policy, which the checker has validated.
@@ -230,14 +237,9 @@ fn check_box(certificate: &Certificate, claim: &ReachClaim, policy: Option<&[u8]
 }
 
 pub(super) fn read_space(certificate: &Certificate) -> Result<ScenarioSpace, BindingError> {
-    let text = certificate.provenance.scenario_text.as_ref();
-    let text = text.ok_or(BindingError::Missing { field: "provenance.scenario_text" })?;
-    let space = space::file::from_toml(text, Path::new("provenance.scenario_text"))?;
-    if space.name() == certificate.provenance.scenario {
-        Ok(space)
-    } else {
-        Err(mismatch("provenance.scenario", "differs from the name in `scenario_text`"))
-    }
+    let space = space::file::from_toml(scenario_text(certificate)?, Path::new(SCENARIO_TEXT_FIELD))?;
+    check_name(certificate, space.name())?;
+    Ok(space)
 }
 
 pub(super) fn rebuild_plan(

@@ -235,7 +235,7 @@ pub fn report_text(all: &[CertificateReport<'_>], scenario: Option<&str>) -> Str
     text
 }
 
-#[derive(Serialize)]
+#[derive(Default, Serialize)]
 struct ReportLine<'a> {
     certificate: &'a str,
     accepted: bool,
@@ -289,43 +289,14 @@ pub fn report_json(all: &[CertificateReport<'_>]) -> Result<String, serde_json::
 
 fn report_line<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>) -> ReportLine<'a> {
     let CertificateReport { path, certificate, accepted, counts, covers_scenario: about } = one;
-    let (mut smallest_gap_m, mut overlap_m, mut verified_share, mut rate_at_most) = (None, None, None, None);
-    let (mut gap_bound_m, mut afterwards) = (None, None);
-    let (mut margin_m, mut x_ego_width_m) = (None, None);
     // JSON has no infinity; `None` is an overlap of unknown size.
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
-    match *accepted {
-        Ok(ProvedClaim::Avoidable { min_gap_m: gap_m, after_horizon: then, .. }) => {
-            (smallest_gap_m, afterwards) = (Some(gap_m), Some(then.name()));
-        }
-        Ok(ProvedClaim::Unavoidable { overlap_m: metres, .. }) => overlap_m = finite(metres),
-        Ok(ProvedClaim::GapBound { gap_m, .. }) => gap_bound_m = Some(gap_m),
-        Ok(ProvedClaim::Rate { max_rate: at_most, .. }) => rate_at_most = Some(at_most),
-        Ok(ProvedClaim::Cruise { margin_m: margin, x_ego_width_m: width }) => {
-            (margin_m, x_ego_width_m) = (finite(margin), finite(width));
-        }
-        Ok(ProvedClaim::Reach { min_gap_m: gap_m, verified_share: share, .. }) => {
-            (smallest_gap_m, verified_share) = (finite(gap_m), Some(share));
-        }
-        _ => {}
-    }
     let scope = one.scope(accepted.as_ref().ok());
     let refuted = match counts {
         Some(CountsStatus::Refuted { because }) => Some(because.clone()),
         _ => None,
     };
-    let rerun = match counts {
-        Some(CountsStatus::Confirmed { confirmation, seed }) => Some(RerunReport {
-            runs: confirmation.runs,
-            total_runs: confirmation.total_runs,
-            blocks: confirmation.blocks,
-            total_blocks: confirmation.total_blocks,
-            seed: *seed,
-            detection_probabilities: detection_probabilities(confirmation),
-        }),
-        _ => None,
-    };
-    ReportLine {
+    let mut line = ReportLine {
         certificate: path,
         accepted: accepted.is_ok() && refuted.is_none(),
         claim: certificate.statement.name(),
@@ -335,20 +306,38 @@ fn report_line<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>
         is_built_in: one.is_built_in(),
         horizon_s: scope.horizon_s.and_then(finite),
         scope: scope.to_string().lines().map(str::to_owned).collect(),
-        smallest_gap_m,
-        overlap_m,
-        gap_bound_m,
-        afterwards,
-        verified_share,
-        margin_m,
-        x_ego_width_m,
-        rate_at_most,
         confidence: one.confidence(),
         joint_confidence: joint_confidence.filter(|_| one.confidence().is_some()),
         counts: counts.as_ref().map(CountsStatus::name),
-        rerun,
         rejection: accepted.as_ref().err().cloned().or(refuted),
         about_scenario: about.as_ref().map(Result::is_ok),
         not_about_scenario: about.as_ref().and_then(|about| about.as_ref().err()).map(String::as_str),
+        ..ReportLine::default()
+    };
+    if let Some(CountsStatus::Confirmed { confirmation, seed }) = counts {
+        line.rerun = Some(RerunReport {
+            runs: confirmation.runs,
+            total_runs: confirmation.total_runs,
+            blocks: confirmation.blocks,
+            total_blocks: confirmation.total_blocks,
+            seed: *seed,
+            detection_probabilities: detection_probabilities(confirmation),
+        });
     }
+    match *accepted {
+        Ok(ProvedClaim::Avoidable { min_gap_m, after_horizon, .. }) => {
+            (line.smallest_gap_m, line.afterwards) = (Some(min_gap_m), Some(after_horizon.name()));
+        }
+        Ok(ProvedClaim::Unavoidable { overlap_m, .. }) => line.overlap_m = finite(overlap_m),
+        Ok(ProvedClaim::GapBound { gap_m, .. }) => line.gap_bound_m = Some(gap_m),
+        Ok(ProvedClaim::Rate { max_rate, .. }) => line.rate_at_most = Some(max_rate),
+        Ok(ProvedClaim::Cruise { margin_m, x_ego_width_m }) => {
+            (line.margin_m, line.x_ego_width_m) = (finite(margin_m), finite(x_ego_width_m));
+        }
+        Ok(ProvedClaim::Reach { min_gap_m, verified_share, .. }) => {
+            (line.smallest_gap_m, line.verified_share) = (finite(min_gap_m), Some(verified_share));
+        }
+        _ => {}
+    }
+    line
 }

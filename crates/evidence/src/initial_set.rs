@@ -20,7 +20,7 @@ pub(super) struct InitialSet {
     pub(super) leader_brakes_at_most_mps2: Option<f64>,
     pub(super) ranges: InitialRanges,
     /// Limits of the vehicle under test: largest deceleration, negative, and acceleration, in m/s².
-    accel_limits_mps2: [f64; 2],
+    pub(super) accel_limits_mps2: [f64; 2],
 }
 
 impl InitialSet {
@@ -112,10 +112,6 @@ impl InitialSet {
     ) -> Result<Self, InvalidBox> {
         let point = BoxSpec::around(&scenario.spec().name, RangesSpec::default());
         Self::from_valid_limit(scenario, &BoxSpec { leader_brakes_at_most_mps2, ..point })
-    }
-
-    pub(super) fn accel_limits_mps2(&self) -> [f64; 2] {
-        self.accel_limits_mps2
     }
 
     /// True if the vehicle under test can execute all commands between these bounds.

@@ -11,6 +11,8 @@ mod certificate_report;
 mod cruise;
 pub mod exposure;
 pub mod fit;
+#[cfg(test)]
+mod fixtures;
 mod initial_set;
 mod interval;
 mod kernel;

@@ -228,7 +228,7 @@ impl RatePlan {
     /// Returns the data that must be on record before the first run.
     #[must_use]
     pub fn registration(&self) -> &Registration {
-        self.record.registration()
+        &self.record.registration
     }
 
     /// Returns the registration and the text of the space.
@@ -418,27 +418,11 @@ impl RatePlan {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::fixtures::{count_all, rate_plan};
     use crumple_verify::{ProvedClaim, check};
-    use crumple_world::control::ControllerSpec;
-    use crumple_world::scenario::space::built_in_space;
 
     fn plan(controller: &str, against: Option<&str>, runs: u64) -> RatePlan {
-        let contender = |name: &str| NamedController::from(ControllerSpec::from_name(name).unwrap());
-        RatePlan::new(RateConfig {
-            second_controller: against.map(contender),
-            seed: 3,
-            estimator: EstimatorKind::Truth,
-            ..RateConfig::new(contender(controller), built_in_space("paper").unwrap(), runs)
-        })
-        .unwrap()
-    }
-
-    fn count_all(plan: &RatePlan) -> CountTally {
-        let mut tally = plan.empty_tally();
-        while tally.runs < plan.registration().runs {
-            plan.count_batch(&mut tally).unwrap();
-        }
-        tally
+        rate_plan(controller, against, ("paper", runs), (3, 0.99))
     }
 
     #[test]

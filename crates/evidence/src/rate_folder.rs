@@ -56,7 +56,7 @@ pub struct RateCount<'a> {
 pub(super) struct BlockCounter<'a> {
     plan: &'a RatePlan,
     blocks: Range<u64>,
-    tally: CountTally,
+    pub(super) tally: CountTally,
 }
 
 const REGISTRATION_FILE: &str = "registration.json";
@@ -78,7 +78,7 @@ impl RatePlan {
 impl CountRecord {
     fn register_in(&self, folder: &Path, resume: bool) -> Result<RunFolder, RateFolderError> {
         let path = folder.join(REGISTRATION_FILE);
-        let registration = to_json(&path, self.registration())?;
+        let registration = to_json(&path, &self.registration)?;
         let asked = RunFolderOptions {
             kind: "count",
             configuration: &registration,
@@ -155,10 +155,6 @@ impl<'a> BlockCounter<'a> {
         Ok(Self { plan, blocks, tally })
     }
 
-    pub(super) fn tally(&self) -> &CountTally {
-        &self.tally
-    }
-
     pub(super) fn run_count(&self) -> u64 {
         range_len(&self.plan.record().run_range(self.blocks.clone()))
     }
@@ -211,7 +207,7 @@ impl RateCount<'_> {
     /// Returns the tally so far.
     #[must_use]
     pub fn tally(&self) -> &CountTally {
-        self.block_counter.tally()
+        &self.block_counter.tally
     }
 
     /// Returns the path of the certificate.
@@ -229,21 +225,12 @@ pub(super) fn to_json(path: &Path, value: &impl Serialize) -> Result<String, Run
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::RateConfig;
+    use crate::fixtures::rate_plan;
     use crumple_core::observer::Quiet;
-    use crumple_world::control::ControllerSpec;
-    use crumple_world::observation::EstimatorKind;
-    use crumple_world::scenario::space::built_in_space;
     use std::fs;
 
     fn plan(seed: u64) -> RatePlan {
-        RatePlan::new(RateConfig {
-            seed,
-            estimator: EstimatorKind::Truth,
-            confidence: 0.9,
-            ..RateConfig::new(ControllerSpec::from_name("idm").unwrap(), built_in_space("paper").unwrap(), 1200)
-        })
-        .unwrap()
+        rate_plan("idm", None, ("paper", 1200), (seed, 0.9))
     }
 
     fn interrupted_folder(plan: &RatePlan, change: impl FnOnce(&mut CountTally)) -> tempfile::TempDir {

@@ -18,7 +18,7 @@ pub const COUNT_SHARD_KIND: &str = "shard of a count";
 
 /// A shard of a count that is registered in a folder.
 pub struct RateShard<'a> {
-    run_folder: RunFolder,
+    pub(super) run_folder: RunFolder,
     block_counter: BlockCounter<'a>,
     resample_range: Range<u64>,
 }
@@ -44,7 +44,7 @@ impl Sharded for ShardedCount {
     }
 
     fn differing_field(&self, other: &Self) -> Option<String> {
-        let (own, foreign) = (self.count.registration(), other.count.registration());
+        let (own, foreign) = (&self.count.registration, &other.count.registration);
         let keys = own.configuration.keys().chain(foreign.configuration.keys());
         let differs = |key: &&String| own.configuration.get(*key) != foreign.configuration.get(*key);
         let fields = [
@@ -129,12 +129,7 @@ impl RateShard<'_> {
     /// Returns the tally so far.
     #[must_use]
     pub fn tally(&self) -> &CountTally {
-        self.block_counter.tally()
-    }
-
-    #[cfg(test)]
-    pub(super) fn run_folder(&self) -> &RunFolder {
-        &self.run_folder
+        &self.block_counter.tally
     }
 
     /// Returns the number of runs, including those of resamples.

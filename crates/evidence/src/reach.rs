@@ -170,15 +170,20 @@ struct PartitionNode {
     result: Option<ReachResult>,
 }
 
+impl PartitionNode {
+    fn new(ranges: InitialRanges) -> Self {
+        Self { ranges, cell: PartitionCell::Undecided, first_child: None, result: None }
+    }
+}
+
 impl BoxSpec {
     /// Creates a box around a scenario, with the true state as observation.
     #[must_use]
     pub fn around(scenario: &str, ranges: RangesSpec) -> Self {
-        let (about, scenario) = (String::new(), scenario.to_owned());
         Self {
             version: 1,
-            about,
-            scenario,
+            about: String::new(),
+            scenario: scenario.to_owned(),
             observation_error: default_observation_error(),
             leader_brakes_at_most_mps2: None,
             follower_drives: None,
@@ -227,7 +232,7 @@ impl ReachPlan {
             .ok_or_else(|| InvalidBox::Controller("must be a policy of crumple or a network".to_owned()))?;
         let actor = NeuralController::from_bytes(&bytes).map_err(InvalidBox::Controller)?;
         if !starts.can_execute(actor.action_bounds_mps2) {
-            return Err(excessive_command_error(actor.action_bounds_mps2, starts.accel_limits_mps2(), &controller));
+            return Err(excessive_command_error(actor.action_bounds_mps2, starts.accel_limits_mps2, &controller));
         }
         let digest = sha256(&bytes);
         let claim = ReachClaim {
@@ -275,12 +280,7 @@ impl ReachPlan {
         let begin = Instant::now();
         let mut scene = self.claim.problem(&self.actor).map_err(map_rejection)?;
         scene.stop_when_undecided = true;
-        let mut nodes = vec![PartitionNode {
-            ranges: self.claim.ranges,
-            cell: PartitionCell::Undecided,
-            first_child: None,
-            result: None,
-        }];
+        let mut nodes = vec![PartitionNode::new(self.claim.ranges)];
         let mut due = vec![0_usize];
         let (mut shares, mut verified, mut gap_m) = (Vec::new(), 0.0, f64::INFINITY);
         for level in 0..=depth {
@@ -302,12 +302,7 @@ impl ReachPlan {
                     nodes[node].first_child = Some(nodes.len());
                     for ranges in halves {
                         next.push(nodes.len());
-                        nodes.push(PartitionNode {
-                            ranges,
-                            cell: PartitionCell::Undecided,
-                            first_child: None,
-                            result: None,
-                        });
+                        nodes.push(PartitionNode::new(ranges));
                     }
                 }
             }
@@ -536,10 +531,10 @@ mod tests {
         assert_eq!(partition.certificate, plan.partition(6, &Quiet).unwrap().certificate);
         let Statement::Reach(claim) = &partition.certificate.statement else { panic!("reach") };
         match check_with(&partition.certificate, Some(plan.policy_bytes()), WorkLimit::default()).unwrap() {
-            ProvedClaim::Reach { verified_share, falsified_share, min_gap_m: smallest_gap_m, .. } => {
+            ProvedClaim::Reach { verified_share, falsified_share, min_gap_m, .. } => {
                 assert_eq!(verified_share, claim.verified_share_at_least);
                 assert_eq!(falsified_share, claim.falsified_share_at_least);
-                let spare_m = smallest_gap_m - claim.min_gap_m_at_least;
+                let spare_m = min_gap_m - claim.min_gap_m_at_least;
                 assert!((0.0..1.001e-6).contains(&spare_m), "{spare_m:e}");
                 assert!(verified_share > 0.1 && falsified_share > 0.1, "{:?}", partition.shares);
             }

@@ -106,11 +106,6 @@ impl CountRecord {
         }
     }
 
-    #[must_use]
-    pub(crate) fn registration(&self) -> &Registration {
-        &self.registration
-    }
-
     /// True if two controllers are compared.
     #[must_use]
     pub fn is_comparison(&self) -> bool {

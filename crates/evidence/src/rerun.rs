@@ -3,7 +3,7 @@
 //! hashes. Forging k runs changes a >= ⌈k/b⌉ of the m blocks of b runs, so a sample of s blocks misses the forgery with
 //! probability at most C(m - a, s)/C(m, s).
 
-use crumple_verify::{Certificate, Registration, Statement};
+use crumple_verify::{Certificate, Statement};
 use rayon::prelude::*;
 
 use super::binding::{self, BindingError};
@@ -88,15 +88,10 @@ pub enum RerunError {
 /// A certificate of counts that can be counted again.
 pub struct Rerun {
     plan: RatePlan,
-    stated_blocks: Vec<StatedBlock>,
+    /// Counts and digest of each block.
+    stated_blocks: Vec<([u64; 2], String)>,
     /// SHA-256 of the certificate; part of the seed of the sample.
     digest: String,
-}
-
-/// Statement of a certificate on a block; the second count is 0 for a single controller.
-struct StatedBlock {
-    counts: [u64; 2],
-    sha256: String,
 }
 
 /// Result of a confirmation.
@@ -139,21 +134,12 @@ impl Rerun {
     /// # Errors
     /// [`RerunError`] if the counts cannot be repeated.
     pub fn new(certificate: &Certificate, given: &[NamedController]) -> Result<Self, RerunError> {
-        let (registration, stated): (&Registration, Vec<StatedBlock>) = match &certificate.statement {
+        let (registration, stated) = match &certificate.statement {
             Statement::Rate(claim) => {
-                let blocks = claim.blocks.iter();
-                (
-                    &claim.registration,
-                    blocks.map(|(k, sha256)| StatedBlock { counts: [*k, 0], sha256: sha256.clone() }).collect(),
-                )
+                let blocks = claim.blocks.iter().map(|(failures, sha256)| ([*failures, 0], sha256.clone()));
+                (&claim.registration, blocks.collect())
             }
-            Statement::Comparison(claim) => {
-                let blocks = claim.blocks.iter();
-                (
-                    &claim.registration,
-                    blocks.map(|(k, sha256)| StatedBlock { counts: *k, sha256: sha256.clone() }).collect(),
-                )
-            }
+            Statement::Comparison(claim) => (&claim.registration, claim.blocks.clone()),
             other => return Err(RerunError::NothingCounted(other.name())),
         };
         if certificate.is_first_version() {
@@ -249,12 +235,14 @@ impl Rerun {
     fn compare_block(&self, block: u64, found: &CountedBlock) -> Result<(), RerunError> {
         let is_rate = self.plan.has_single_controller();
         let counts = if is_rate { [found.failures, 0] } else { [found.only_first_failed, found.only_second_failed] };
-        let Some(stated) = self.stated_blocks.get(block as usize) else { return Err(RerunError::OtherRegistration) };
+        let Some((stated, sha256)) = self.stated_blocks.get(block as usize) else {
+            return Err(RerunError::OtherRegistration);
+        };
         let runs = self.plan.run_range(block);
         let refuted = |problem: String| {
             Err(RerunError::Refuted { block, first: runs.start, last: runs.end.saturating_sub(1), problem })
         };
-        match (stated.counts, counts) {
+        match (*stated, counts) {
             (stated, found) if stated != found && is_rate => {
                 refuted(format!("{} runs failed when repeated, and the certificate states {}", found[0], stated[0]))
             }
@@ -263,7 +251,7 @@ impl Rerun {
                  certificate states {} and {}",
                 found[0], found[1], stated[0], stated[1]
             )),
-            _ if stated.sha256 != found.sha256 => {
+            _ if *sha256 != found.sha256 => {
                 refuted("when repeated, the runs have other results than the certificate states".to_owned())
             }
             _ => Ok(()),

@@ -24,29 +24,29 @@ pub(crate) struct AvoidabilityResponse {
 /// Decides avoidability as `crumple avoid` does.
 pub(crate) fn check_avoidability(scenario: &Scenario) -> Result<AvoidabilityResponse, RequestError> {
     let found = avoid(scenario, AvoidOptions::default()).map_err(|error| RequestError::invalid("scenario", error))?;
-    let mut words = Vec::new();
-    let mut drawn = String::new();
-    match &found.verdict {
+    let mut escape_figure = String::new();
+    let answer = match &found.verdict {
         AvoidanceVerdict::Avoidable(escape) => {
-            words.push(format!(
-                "Yes: this escape keeps {:.2} m. A driver with knowledge of the future can drive like this.",
-                (100.0 * escape.min_gap_m).floor() / 100.0
-            ));
             let options =
                 RunOptions::new(ControllerSpec::MatchLeader(Default::default())).with_estimator(EstimatorKind::Truth);
             let run = Run::new(&escape.scenario, options).map_err(|error| RequestError::Internal(error.to_string()))?;
-            drawn = render_replay(&escape.scenario, &simulate(&run, RecordingLevel::Trace), "An escape");
+            escape_figure = render_replay(&escape.scenario, &simulate(&run, RecordingLevel::Trace), "An escape");
+            format!(
+                "Yes: this escape keeps {:.2} m. A driver with knowledge of the future can drive like this.",
+                (100.0 * escape.min_gap_m).floor() / 100.0
+            )
         }
         AvoidanceVerdict::Unavoidable(_) => {
-            words.push("No: every driver collides. This is proved, and the checker has accepted the proof.".to_owned())
+            "No: every driver collides. This is proved, and the checker has accepted the proof.".to_owned()
         }
-        AvoidanceVerdict::Undecided(reason) => words.push(format!("Undecided: {reason}")),
-    }
-    if let Some(bound_m) = found.min_gap_bound_m {
-        words.push(format!(
+        AvoidanceVerdict::Undecided(reason) => format!("Undecided: {reason}"),
+    };
+    let bound = found.min_gap_bound_m.map(|bound_m| {
+        format!(
             "No driver keeps more than {:.2} m. This is a computed bound without a certificate.",
             (100.0 * bound_m).ceil() / 100.0
-        ));
-    }
-    Ok(AvoidabilityResponse { verdict: found.verdict.name(), sentences: words, escape_figure: drawn })
+        )
+    });
+    let sentences = [answer].into_iter().chain(bound).collect();
+    Ok(AvoidabilityResponse { verdict: found.verdict.name(), sentences, escape_figure })
 }

@@ -85,7 +85,7 @@ impl ExploreConfig {
 
     /// Adds everything built in and checks the configuration.
     pub(crate) fn into_catalog(self) -> Result<Catalog, ExploreConfigError> {
-        let Self { mut scenarios, mut controllers, estimator, save_folder: out, campaigns } = self;
+        let Self { mut scenarios, mut controllers, estimator, save_folder, campaigns } = self;
         if controllers.len() > Self::MAX_CONTROLLERS {
             return Err(ExploreConfigError::TooManyControllers { found: controllers.len() });
         }
@@ -95,7 +95,7 @@ impl ExploreConfig {
         {
             return Err(ExploreConfigError::DuplicateController { name: (*name).to_owned() });
         }
-        if let Some(path) = out.as_ref().filter(|path| !path.is_dir()) {
+        if let Some(path) = save_folder.as_ref().filter(|path| !path.is_dir()) {
             return Err(ExploreConfigError::SaveFolder { path: path.clone() });
         }
         let campaigns = campaigns
@@ -105,7 +105,7 @@ impl ExploreConfig {
         if controllers.is_empty() {
             controllers.extend(ControllerSpec::from_name(DEFAULT_CONTROLLER).map(NamedController::from));
         }
-        let chosen = controllers.len();
+        let selected_controllers = controllers.len();
         for (name, _) in built_in_scenario_names() {
             if let (Some(scenario), false) =
                 (built_in_scenario(name), scenarios.iter().any(|offered| offered.name == *name))
@@ -127,15 +127,8 @@ impl ExploreConfig {
                 controllers.push(spec.into());
             }
         }
-        Ok(Catalog {
-            scenarios,
-            controllers,
-            selected_controllers: chosen,
-            estimator,
-            save_folder: out,
-            campaigns,
-            opened_drivers: Mutex::default(),
-        })
+        let opened_drivers = Mutex::default();
+        Ok(Catalog { scenarios, controllers, selected_controllers, estimator, save_folder, campaigns, opened_drivers })
     }
 }
 
@@ -175,20 +168,21 @@ impl Catalog {
         let known: Vec<&FileDriver> = offered.chain(opened.iter()).collect();
         for (index, vehicle) in spec.vehicles.iter_mut().enumerate() {
             if let Driver::File(file) = &mut vehicle.driver {
-                match known.iter().find(|known| **known == file) {
-                    Some(known) => *file = (*known).clone(),
-                    None => {
-                        let field = format!("scenario.vehicles[{index}].driver.file.path");
-                        return Err(RequestError::invalid(
-                            field,
-                            "only the drivers of scenarios that were given at the start are allowed",
-                        ));
-                    }
-                }
+                let found = known.iter().find(|known| **known == file).ok_or_else(|| {
+                    let field = format!("scenario.vehicles[{index}].driver.file.path");
+                    let problem = "only the drivers of scenarios that were given at the start are allowed";
+                    RequestError::invalid(field, problem)
+                })?;
+                *file = (*found).clone();
             }
         }
         Ok(())
     }
+}
+
+/// Returns the item of that index, which a request names in `field`.
+pub(crate) fn find<'a, T>(items: &'a [T], index: usize, field: &str, noun: &str) -> Result<&'a T, RequestError> {
+    items.get(index).ok_or_else(|| RequestError::invalid(field, format!("there are {} {noun}", items.len())))
 }
 
 fn file_drivers(scenario: &Scenario) -> impl Iterator<Item = &FileDriver> {

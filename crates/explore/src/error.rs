@@ -47,33 +47,19 @@ impl RequestError {
         Self::Invalid { field: field.into(), problem: problem.to_string() }
     }
 
-    pub(crate) fn status(&self) -> StatusCode {
+    /// Returns the status of the response, and the kind of the error in its body.
+    pub(crate) fn status_and_kind(&self) -> (StatusCode, &'static str) {
         match self {
-            Self::Forbidden(_) => StatusCode::FORBIDDEN,
-            Self::NotFound(_) => StatusCode::NOT_FOUND,
-            Self::MethodNotAllowed(_) => StatusCode::METHOD_NOT_ALLOWED,
-            Self::Timeout(_) => StatusCode::REQUEST_TIMEOUT,
-            Self::TooLarge(_) => StatusCode::PAYLOAD_TOO_LARGE,
-            Self::NotJson => StatusCode::UNSUPPORTED_MEDIA_TYPE,
-            Self::Malformed { .. } => StatusCode::BAD_REQUEST,
-            Self::Invalid { .. } => StatusCode::UNPROCESSABLE_ENTITY,
-            Self::Busy(_) => StatusCode::TOO_MANY_REQUESTS,
-            Self::Internal(_) => StatusCode::INTERNAL_SERVER_ERROR,
-        }
-    }
-
-    fn kind(&self) -> &'static str {
-        match self {
-            Self::Forbidden(_) => "forbidden",
-            Self::NotFound(_) => "not-found",
-            Self::MethodNotAllowed(_) => "method",
-            Self::Timeout(_) => "slow",
-            Self::TooLarge(_) => "too-long",
-            Self::NotJson => "not-json",
-            Self::Malformed { .. } => "malformed",
-            Self::Invalid { .. } => "invalid",
-            Self::Busy(_) => "busy",
-            Self::Internal(_) => "failed",
+            Self::Forbidden(_) => (StatusCode::FORBIDDEN, "forbidden"),
+            Self::NotFound(_) => (StatusCode::NOT_FOUND, "not-found"),
+            Self::MethodNotAllowed(_) => (StatusCode::METHOD_NOT_ALLOWED, "method"),
+            Self::Timeout(_) => (StatusCode::REQUEST_TIMEOUT, "slow"),
+            Self::TooLarge(_) => (StatusCode::PAYLOAD_TOO_LARGE, "too-long"),
+            Self::NotJson => (StatusCode::UNSUPPORTED_MEDIA_TYPE, "not-json"),
+            Self::Malformed { .. } => (StatusCode::BAD_REQUEST, "malformed"),
+            Self::Invalid { .. } => (StatusCode::UNPROCESSABLE_ENTITY, "invalid"),
+            Self::Busy(_) => (StatusCode::TOO_MANY_REQUESTS, "busy"),
+            Self::Internal(_) => (StatusCode::INTERNAL_SERVER_ERROR, "failed"),
         }
     }
 
@@ -82,7 +68,7 @@ impl RequestError {
             Self::Invalid { field, .. } => Some(field),
             _ => None,
         };
-        json!({ "error": { "kind": self.kind(), "message": self.to_string(), "field": field } })
+        json!({ "error": { "kind": self.status_and_kind().1, "message": self.to_string(), "field": field } })
     }
 }
 

@@ -3,7 +3,7 @@
 use crumple_core::quoting::{TerminalLines, TerminalText};
 use crumple_report::draw::{self, MotionAxes, MotionFigure, PanelArrangement, draw_motion_on_axes, vehicle_names};
 use crumple_world::measure::UnnecessaryBraking;
-use crumple_world::scenario::{Driver, LeadProfile, Scenario};
+use crumple_world::scenario::{Driver, LeadProfile, Scenario, VehicleSpec};
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
 use maud::html;
 use serde::Serialize;
@@ -166,7 +166,7 @@ impl Sliders {
         let spec = scenario.spec();
         let gaps_m = gaps_m(spec);
         let names = vehicle_names(scenario);
-        let vehicle = |(index, vehicle): (usize, &crumple_world::scenario::VehicleSpec)| VehicleSliders {
+        let vehicle = |(index, vehicle): (usize, &VehicleSpec)| VehicleSliders {
             name: names.get(index).cloned().unwrap_or_default(),
             class: vehicle.class.name(),
             driver: match &vehicle.driver {

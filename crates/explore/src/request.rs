@@ -108,21 +108,14 @@ impl Edits {
                 let problem = format!("there is no vehicle {} in the scenario", edit.vehicle);
                 return Err(RequestError::invalid(format!("edits.vehicles[{index}].vehicle"), problem));
             };
-            if let Some(class) = edit.class {
-                vehicle.class = class;
-            }
-            if let Some(speed_mps) = edit.speed_mps {
-                vehicle.speed_mps = speed_mps;
-            }
-            match (edit.gap_m, edit.vehicle.checked_sub(1).and_then(|before| gaps_m.get_mut(before))) {
-                (Some(gap_m), Some(gap)) => *gap = gap_m,
-                (Some(_), None) => {
-                    return Err(RequestError::invalid(
-                        format!("edits.vehicles[{index}].gap_m"),
-                        "no vehicle is ahead of the first vehicle",
-                    ));
-                }
-                (None, _) => {}
+            vehicle.class = edit.class.unwrap_or(vehicle.class);
+            vehicle.speed_mps = edit.speed_mps.unwrap_or(vehicle.speed_mps);
+            if let Some(gap_m) = edit.gap_m {
+                let gap = edit.vehicle.checked_sub(1).and_then(|before| gaps_m.get_mut(before));
+                *gap.ok_or_else(|| {
+                    let field = format!("edits.vehicles[{index}].gap_m");
+                    RequestError::invalid(field, "no vehicle is ahead of the first vehicle")
+                })? = gap_m;
             }
         }
         if moves {
@@ -140,15 +133,8 @@ impl Edits {
 
 /// Returns the bumper-to-bumper gap ahead of each vehicle but the first, in metres.
 pub(crate) fn gaps_m(spec: &ScenarioSpec) -> Vec<f64> {
-    let gap = |pair: &[_]| match pair {
-        [ahead, behind] => {
-            let (ahead, behind): (&crumple_world::scenario::VehicleSpec, &crumple_world::scenario::VehicleSpec) =
-                (ahead, behind);
-            ahead.position_m - ahead.length_m() - behind.position_m
-        }
-        _ => 0.0,
-    };
-    spec.vehicles.windows(2).map(gap).collect()
+    let pairs = spec.vehicles.iter().zip(spec.vehicles.iter().skip(1));
+    pairs.map(|(ahead, behind)| ahead.position_m - ahead.length_m() - behind.position_m).collect()
 }
 
 fn place_vehicles(spec: &mut ScenarioSpec, gaps_m: &[f64]) {

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use crate::auth::RequestAuth;
 use crate::avoidability::check_avoidability;
 use crate::campaign;
-use crate::catalog::Catalog;
+use crate::catalog::{self, Catalog};
 use crate::error::RequestError;
 use crate::page;
 use crate::render::{Sliders, run_and_render};
@@ -37,14 +37,10 @@ pub(crate) struct HttpResponse {
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 struct OpenRequest {
-    #[serde(default)]
     scenario: Option<usize>,
-    #[serde(default)]
     campaign: Option<usize>,
     /// Index among the distinct failures of the campaign.
-    #[serde(default)]
     counterexample: Option<usize>,
-    #[serde(default)]
     evaluation: Option<usize>,
 }
 
@@ -78,10 +74,8 @@ impl Application {
     /// Responds to a request after the token. Requests with a body may block for long.
     pub(crate) fn dispatch(&self, method: &Method, rest: &str, body: &[u8]) -> Result<HttpResponse, RequestError> {
         match (rest, method) {
-            ("", &Method::GET) => Ok(HttpResponse::new("text/html; charset=utf-8", page::scenario_page(&self.catalog))),
-            ("campaigns", &Method::GET) => {
-                Ok(HttpResponse::new("text/html; charset=utf-8", page::campaigns_page(&self.catalog)))
-            }
+            ("", &Method::GET) => Ok(HttpResponse::new(HTML, page::scenario_page(&self.catalog))),
+            ("campaigns", &Method::GET) => Ok(HttpResponse::new(HTML, page::campaigns_page(&self.catalog))),
             ("explore.css", &Method::GET) => Ok(HttpResponse::new("text/css; charset=utf-8", page::style_sheet())),
             ("explore.js", &Method::GET) => Ok(HttpResponse::new("text/javascript; charset=utf-8", page::script())),
             ("" | "campaigns" | "explore.css" | "explore.js", _) => Err(RequestError::MethodNotAllowed("GET")),
@@ -104,11 +98,7 @@ impl Application {
     fn open(&self, wanted: &OpenRequest) -> Result<HttpResponse, RequestError> {
         match wanted {
             OpenRequest { scenario: Some(index), campaign: None, counterexample: None, evaluation: None } => {
-                let offered = self.catalog.scenarios.get(*index);
-                let offered = offered.ok_or_else(|| {
-                    RequestError::invalid("scenario", format!("there are {} scenarios", self.catalog.scenarios.len()))
-                })?;
-                let scenario = &offered.scenario;
+                let scenario = &catalog::find(&self.catalog.scenarios, *index, "scenario", "scenarios")?.scenario;
                 json_response(&OpenResponse {
                     scenario: scenario.spec(),
                     sliders: Sliders::new(scenario),
@@ -130,10 +120,7 @@ impl Application {
         counterexample: Option<usize>,
         evaluation: Option<usize>,
     ) -> Result<HttpResponse, RequestError> {
-        let offered = self.catalog.campaigns.get(index);
-        let offered = offered.ok_or_else(|| {
-            RequestError::invalid("campaign", format!("there are {} campaigns", self.catalog.campaigns.len()))
-        })?;
+        let offered = catalog::find(&self.catalog.campaigns, index, "campaign", "campaigns")?;
         // A damaged campaign is not opened in part.
         offered.poll()?;
         let look = offered.lock_reader();
@@ -165,17 +152,12 @@ impl Application {
         let name = look.controller();
         let offered = self.catalog.controllers.iter().find(|controller| controller.name == name);
         let is_offered = offered.is_some_and(|controller| look.is_for_controller(controller));
-        let note = match offered {
-            None => Some(format!(
-                "The campaign is about {}, which is not available: start with --controller",
-                TerminalText(name)
-            )),
-            Some(_) if !is_offered => Some(format!(
-                "The campaign is about {}, which is not available: the controller of this name has another identity",
-                TerminalText(name)
-            )),
-            Some(_) => None,
+        let reason = match offered {
+            None => "start with --controller",
+            Some(_) => "the controller of this name has another identity",
         };
+        let note = (!is_offered)
+            .then(|| format!("The campaign is about {}, which is not available: {reason}", TerminalText(name)));
         json_response(&OpenResponse {
             scenario: scenario.spec(),
             sliders: Sliders::new(&scenario),
@@ -220,10 +202,11 @@ impl HttpResponse {
 impl From<RequestError> for HttpResponse {
     fn from(refused: RequestError) -> Self {
         let body = format!("{}\n", refused.to_json()).into_bytes();
-        Self { status: refused.status(), content_type: JSON, body }
+        Self { status: refused.status_and_kind().0, content_type: JSON, body }
     }
 }
 
+const HTML: &str = "text/html; charset=utf-8";
 const JSON: &str = "application/json";
 
 fn json_response(content: &impl Serialize) -> Result<HttpResponse, RequestError> {

@@ -75,22 +75,16 @@ fn write_new_file(folder: &Path, plain: &str, toml: &str) -> Result<PathBuf, Req
 
 /// Returns a file name of letters, digits and hyphens. It cannot leave the folder and is no reserved name of a system.
 fn file_stem(name: &str) -> String {
-    let mut plain = String::new();
-    for letter in name.chars() {
-        match letter.is_ascii_alphanumeric() {
-            true => plain.push(letter.to_ascii_lowercase()),
-            false if !plain.ends_with('-') && !plain.is_empty() => plain.push('-'),
-            false => {}
-        }
-    }
+    let words = name.split(|letter: char| !letter.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
+    let mut plain = words.collect::<Vec<_>>().join("-").to_ascii_lowercase();
     plain.truncate(MAX_STEM_CHARS);
-    let plain = plain.trim_matches('-');
+    let plain = plain.trim_end_matches('-');
     let is_reserved = ["con", "prn", "aux", "nul"].contains(&plain)
         || plain.len() == 4 && (plain.starts_with("com") || plain.starts_with("lpt"));
-    if plain.is_empty() || is_reserved {
-        format!("scenario{}{plain}", if plain.is_empty() { "" } else { "-" })
-    } else {
-        plain.to_owned()
+    match plain {
+        "" => "scenario".to_owned(),
+        _ if is_reserved => format!("scenario-{plain}"),
+        _ => plain.to_owned(),
     }
 }
 

@@ -49,13 +49,14 @@ fn start(server: Server) -> (u16, String) {
 /// Lock of tests with hundreds of connections; a process can have about a thousand.
 static MANY_CONNECTIONS: Mutex<()> = Mutex::new(());
 
-fn exchange(request: &[u8]) -> (u16, String, Vec<u8>) {
-    exchange_at(test_server().port, request)
+fn connect(port: u16) -> TcpStream {
+    let stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
+    stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    stream
 }
 
-fn exchange_at(port: u16, request: &[u8]) -> (u16, String, Vec<u8>) {
-    let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
-    stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+fn exchange(port: u16, request: &[u8]) -> (u16, String, Vec<u8>) {
+    let mut stream = connect(port);
     // The server may respond and close before it has read everything.
     let _ = stream.write_all(request);
     let mut answer = Vec::new();
@@ -84,7 +85,7 @@ fn post_at(port: u16, token: &str, what: &str, body: &[u8]) -> (u16, Value) {
     let host = format!("127.0.0.1:{port}");
     let path = format!("/{token}/api/{what}");
     let sent = request("POST", &path, &[("Host", &host), ("Content-Type", "application/json")], body);
-    let (status, _, answer) = exchange_at(port, &sent);
+    let (status, _, answer) = exchange(port, &sent);
     (status, serde_json::from_slice(&answer).unwrap_or(Value::Null))
 }
 
@@ -104,24 +105,22 @@ fn pages_require_the_token_and_load_nothing_external() {
     for (path, kind) in
         [("", "text/html"), ("campaigns", "text/html"), ("explore.css", "text/css"), ("explore.js", "text/javascript")]
     {
-        let (status, head, body) = exchange(&request("GET", &format!("/{token}/{path}"), &[("Host", &host)], b""));
+        let sent = request("GET", &format!("/{token}/{path}"), &[("Host", &host)], b"");
+        let (status, head, body) = exchange(*port, &sent);
         let head = head.to_ascii_lowercase();
         assert_eq!(status, 200, "{path}");
-        assert!(
-            head.contains(&format!("content-type: {kind}"))
-                && head.contains("content-security-policy: default-src 'none'"),
-            "{head}"
-        );
-        assert!(
-            head.contains("referrer-policy: no-referrer") && head.contains("x-content-type-options: nosniff"),
-            "{head}"
-        );
-        let text = String::from_utf8(body).unwrap();
-        let elsewhere = text.replace("http://www.w3.org/2000/svg", "");
-        assert!(
-            !elsewhere.contains("http://") && !elsewhere.contains("https://") && !text.contains(token.as_str()),
-            "{path}"
-        );
+        for header in [
+            &*format!("content-type: {kind}"),
+            "content-security-policy: default-src 'none'",
+            "referrer-policy: no-referrer",
+            "x-content-type-options: nosniff",
+        ] {
+            assert!(head.contains(header), "{header}: {head}");
+        }
+        let text = String::from_utf8(body).unwrap().replace("http://www.w3.org/2000/svg", "");
+        for forbidden in ["http://", "https://", token.as_str()] {
+            assert!(!text.contains(forbidden), "{path}: {forbidden}");
+        }
     }
 }
 
@@ -132,18 +131,8 @@ fn without_the_token_or_from_another_page_every_request_is_refused() {
     let body = run_request(&json!({})).to_string();
     let own = [("Host", host.as_str()), ("Content-Type", "application/json")];
     let wrong = "0".repeat(token.len());
-    for path in [
-        "",
-        "campaigns",
-        "explore.css",
-        "explore.js",
-        "api/open",
-        "api/run",
-        "api/avoid",
-        "api/save",
-        "api/campaign",
-        "nothing",
-    ] {
+    let pages = ["", "campaigns", "explore.css", "explore.js", "nothing"];
+    for path in pages.into_iter().chain(["api/open", "api/run", "api/avoid", "api/save", "api/campaign"]) {
         for method in ["GET", "POST", "PUT", "OPTIONS"] {
             for address in [
                 format!("/{path}"),
@@ -151,7 +140,8 @@ fn without_the_token_or_from_another_page_every_request_is_refused() {
                 format!("/{}/{path}", &token[1..]),
                 format!("//{token}/{path}"),
             ] {
-                assert_eq!(exchange(&request(method, &address, &own, body.as_bytes())).0, 403, "{method} {address}");
+                let sent = request(method, &address, &own, body.as_bytes());
+                assert_eq!(exchange(*port, &sent).0, 403, "{method} {address}");
             }
             let address = format!("/{token}/{path}");
             for foreign in [
@@ -161,7 +151,7 @@ fn without_the_token_or_from_another_page_every_request_is_refused() {
                 [own[0], own[1], ("Sec-Fetch-Site", "cross-site")],
                 [own[0], own[1], ("Sec-Fetch-Site", "same-site")],
             ] {
-                let (status, head, answer) = exchange(&request(method, &address, &foreign, body.as_bytes()));
+                let (status, head, answer) = exchange(*port, &request(method, &address, &foreign, body.as_bytes()));
                 assert_eq!(status, 403, "{method} {address} {foreign:?}");
                 let error: Value = serde_json::from_slice(&answer).unwrap();
                 assert_eq!(error["error"]["kind"], "forbidden");
@@ -173,7 +163,7 @@ fn without_the_token_or_from_another_page_every_request_is_refused() {
     for kind in ["text/plain", "application/x-www-form-urlencoded"] {
         let sent =
             request("POST", &format!("/{token}/api/run"), &[("Host", &host), ("Content-Type", kind)], body.as_bytes());
-        assert_eq!(exchange(&sent).0, 415);
+        assert_eq!(exchange(*port, &sent).0, 415);
     }
 }
 
@@ -218,8 +208,7 @@ fn idle_connections_do_not_block_others() {
 
 /// Sends a request without its body except for the first byte.
 fn start_request(port: u16, token: &str) -> TcpStream {
-    let mut stream = TcpStream::connect(("127.0.0.1", port)).unwrap();
-    stream.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    let mut stream = connect(port);
     let head = format!(
         "POST /{token}/api/open HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\nContent-Type: application/json\r\n\
          Connection: close\r\nContent-Length: 15\r\n\r\n{{"
@@ -261,8 +250,7 @@ fn a_request_that_does_not_arrive_in_time_is_ended() {
         start(Server::bind(0, ExploreConfig::default()).unwrap().with_read_timeout(Duration::from_millis(200)));
     let answer = read_response(&mut start_request(port, &token));
     assert!(answer.starts_with("HTTP/1.1 408") && answer.contains("longer than 0.2 s"), "{answer}");
-    let mut head = TcpStream::connect(("127.0.0.1", port)).unwrap();
-    head.set_read_timeout(Some(Duration::from_secs(60))).unwrap();
+    let mut head = connect(port);
     head.write_all(b"POST / HTTP/1.1\r\nHost: ").unwrap();
     assert!(!read_response(&mut head).contains("200 OK"), "the connection ends");
 }
@@ -305,56 +293,27 @@ fn errors_name_their_field() {
             "{what} {body:.80}: {found} {answer}, and {output} is to be in it"
         );
     };
-    let with = |change: &dyn Fn(&mut Value)| {
-        let mut body = run_request(&json!({}));
-        change(&mut body);
-        body.to_string()
-    };
     refused("run", "", 400, "line 1");
     refused("run", "{", 400, "line 1");
     refused("run", &"[".repeat(200_000), 400, "line 1");
-    refused("run", &with(&|body| body["colour"] = json!(3)), 400, "colour");
-    refused(
-        "run",
-        &with(&|body| body["scenario"]["vehicles"][0]["speed_mps"] = json!("fast")),
-        400,
-        "scenario.vehicles[0].speed_mps",
-    );
-    refused(
-        "run",
-        &with(&|body| body["scenario"]["vehicles"][0]["speed_mps"] = json!(-1.0)),
-        422,
-        "scenario.vehicles[0].speed_mps",
-    );
-    refused("run", &with(&|body| body["edits"] = json!({ "friction": 7 })), 422, "scenario.environment.friction");
-    refused(
-        "run",
-        &with(&|body| body["edits"] = json!({ "vehicles": [{ "vehicle": 9 }] })),
-        422,
-        "edits.vehicles[0].vehicle",
-    );
-    refused(
-        "run",
-        &with(&|body| body["edits"] = json!({ "vehicles": [{ "vehicle": 0, "gap_m": 3.0 }] })),
-        422,
-        "no vehicle is ahead",
-    );
-    refused(
-        "run",
-        &with(&|body| body["edits"] = json!({ "vehicles": [{ "vehicle": 1, "gap_m": -3.0 }] })),
-        422,
-        "overlaps",
-    );
-    refused(
-        "run",
-        &with(&|body| body["edits"]["lead"] = json!({ "from_s": [0.0], "accel_mps2": [-30.0] })),
-        422,
-        "raise its max_brake_mps2",
-    );
-    refused("run", &with(&|body| body["controllers"] = json!([])), 422, "1 to 4");
-    refused("run", &with(&|body| body["controllers"] = json!(vec!["idm"; 5])), 422, "1 to 4");
-    refused("run", &with(&|body| body["scenario"]["duration_s"] = json!(1e4)), 422, "vehicle-steps");
     refused("run", &format!("\"{}\"", "x".repeat(2 << 20)), 413, "KiB");
+    for (object, field, value, status, output) in [
+        ("", "colour", json!(3), 400, "colour"),
+        ("/scenario/vehicles/0", "speed_mps", json!("fast"), 400, "scenario.vehicles[0].speed_mps"),
+        ("/scenario/vehicles/0", "speed_mps", json!(-1.0), 422, "scenario.vehicles[0].speed_mps"),
+        ("/edits", "friction", json!(7), 422, "scenario.environment.friction"),
+        ("/edits", "vehicles", json!([{ "vehicle": 9 }]), 422, "edits.vehicles[0].vehicle"),
+        ("/edits", "vehicles", json!([{ "vehicle": 0, "gap_m": 3.0 }]), 422, "no vehicle is ahead"),
+        ("/edits", "vehicles", json!([{ "vehicle": 1, "gap_m": -3.0 }]), 422, "overlaps"),
+        ("/edits", "lead", json!({ "from_s": [0.0], "accel_mps2": [-30.0] }), 422, "raise its max_brake_mps2"),
+        ("", "controllers", json!([]), 422, "1 to 4"),
+        ("", "controllers", json!(vec!["idm"; 5]), 422, "1 to 4"),
+        ("/scenario", "duration_s", json!(1e4), 422, "vehicle-steps"),
+    ] {
+        let mut body = run_request(&json!({}));
+        body.pointer_mut(object).unwrap()[field] = value;
+        refused("run", &body.to_string(), status, output);
+    }
     refused("open", r#"{"scenario": 99}"#, 422, "there are");
     refused("open", r#"{"campaign": 0, "evaluation": 0}"#, 422, "there are");
     refused("open", "{}", 422, "either");
@@ -380,18 +339,14 @@ fn no_name_in_a_request_is_a_file_or_a_command() {
     }
     let mut body = run_request(&json!({}));
     body["scenario"]["vehicles"][2]["driver"] = json!({ "file": { "path": "/etc/passwd" } });
-    for what in ["run", "avoid", "save"] {
-        let body = match what {
-            "run" => body.clone(),
-            "avoid" => json!({ "scenario": body["scenario"] }),
-            _ => json!({ "what": { "scenario": body["scenario"] }, "controller": "idm", "to_folder": true }),
-        };
+    for (what, body) in [
+        ("avoid", json!({ "scenario": body["scenario"] })),
+        ("save", json!({ "what": { "scenario": body["scenario"] }, "controller": "idm", "to_folder": true })),
+        ("run", body),
+    ] {
         let (status, answer) = post(what, body.to_string().as_bytes());
-        assert_eq!(
-            (status, &answer["error"]["field"]),
-            (422, &json!("scenario.vehicles[2].driver.file.path")),
-            "{answer}"
-        );
+        let field = json!("scenario.vehicles[2].driver.file.path");
+        assert_eq!((status, &answer["error"]["field"]), (422, &field), "{answer}");
     }
     assert!(!collided.exists());
 }
@@ -421,8 +376,8 @@ fn a_dragged_and_saved_scenario_ends_in_the_same_contact() {
     let path = Path::new(saved["path"].as_str().unwrap());
     assert_eq!(path.parent(), Some(test_server().out.path()));
     let scenario = file::load(path).unwrap();
-    let options = RunOptions::new(ControllerSpec::from_name("baseline").unwrap())
-        .with_estimator(crumple_world::observation::EstimatorKind::Truth);
+    let baseline = ControllerSpec::from_name("baseline").unwrap();
+    let options = RunOptions::new(baseline).with_estimator(EstimatorKind::Truth);
     let again = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);
     let contact_s = again.outcome.contact().expect("hard braking on a wet road").time_s;
     assert_eq!(drawn["runs"][0]["contact_time_s"].as_f64(), Some(contact_s));
@@ -431,8 +386,8 @@ fn a_dragged_and_saved_scenario_ends_in_the_same_contact() {
 
 #[test]
 fn whether_it_could_have_been_avoided_is_answered_with_an_escape() {
-    let (status, answer) =
-        post("avoid", json!({ "scenario": built_in_scenario("paper-1").unwrap().spec() }).to_string().as_bytes());
+    let body = json!({ "scenario": built_in_scenario("paper-1").unwrap().spec() });
+    let (status, answer) = post("avoid", body.to_string().as_bytes());
     assert_eq!((status, &answer["verdict"]), (200, &json!("avoidable")), "{answer}");
     assert!(answer["escape"].as_str().unwrap().contains("<svg"));
 }

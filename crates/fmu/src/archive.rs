@@ -24,7 +24,7 @@ pub enum FmuError {
     #[error("cannot be read: {0}")]
     Read(#[from] io::Error),
     /// The file is no zip archive, or is damaged.
-    #[error("is not an FMU: {0}")]
+    #[error("is not an FMU: {}", describe_zip_error(.0))]
     Archive(#[from] ZipError),
     /// A member is too large or has a name that leads out of the archive, or there are too many.
     #[error("is not an FMU: {0}")]
@@ -40,6 +40,13 @@ pub enum FmuError {
         /// Libraries that are present.
         found: String,
     },
+}
+
+fn describe_zip_error(error: &ZipError) -> String {
+    match error {
+        ZipError::InvalidArchive(_) => "it is not a zip archive, or it was cut off".to_owned(),
+        other => other.to_string(),
+    }
 }
 
 /// Archive of an FMU and its description. Runs no code of the FMU.

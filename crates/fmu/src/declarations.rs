@@ -64,7 +64,8 @@ impl<'a> Declarations<'a> {
             None => DeclaredUnit::undefined(name),
         };
         if owner_of("relativeQuantity").map_or(Ok(false), |owner| bool_attribute(owner, "relativeQuantity"))? {
-            unit.conversion = unit.conversion.map(Conversion::for_differences);
+            // An offset does not apply to differences.
+            unit.conversion = unit.conversion.map(|conversion| Conversion { offset: 0.0, ..conversion });
         }
         Ok(Some(unit))
     }

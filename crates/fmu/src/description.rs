@@ -2,56 +2,9 @@
 
 use crate::declarations::Declarations;
 use crate::unit::DeclaredUnit;
-use crate::xml::{XmlElement, XmlError};
+use crate::xml::XmlElement;
 
 const MAX_VARIABLES: usize = 100_000;
-
-/// Elements that are read. FMI 2 wraps the type of a variable in `ScalarVariable`, and a declared type in `SimpleType`.
-const ELEMENTS: [&str; 16] = [
-    "fmiModelDescription",
-    "CoSimulation",
-    "UnitDefinitions",
-    "Unit",
-    "BaseUnit",
-    "TypeDefinitions",
-    "SimpleType",
-    "Float64Type",
-    "ModelVariables",
-    "ScalarVariable",
-    "Real",
-    "Integer",
-    "Boolean",
-    "Float64",
-    "Int32",
-    "Dimension",
-];
-const ATTRIBUTES: [&str; 25] = [
-    "fmiVersion",
-    "modelName",
-    "guid",
-    "instantiationToken",
-    "modelIdentifier",
-    "needsExecutionTool",
-    "canBeInstantiatedOnlyOncePerProcess",
-    "name",
-    "description",
-    "valueReference",
-    "causality",
-    "start",
-    "unit",
-    "declaredType",
-    "relativeQuantity",
-    "factor",
-    "offset",
-    "kg",
-    "m",
-    "s",
-    "A",
-    "K",
-    "mol",
-    "cd",
-    "rad",
-];
 
 /// Edition of the FMI standard.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -174,7 +127,7 @@ impl ModelDescription {
     /// # Errors
     /// [`InvalidDescription`] for an invalid description, or one of an FMU that cannot be a controller.
     pub fn from_xml(text: &str) -> Result<Self, InvalidDescription> {
-        let root = &XmlElement::parse(text, &ELEMENTS, &ATTRIBUTES)?;
+        let root = &XmlElement::parse(text)?;
         let found = root.attribute("fmiVersion").unwrap_or_default();
         let version = match found.split('.').next() {
             Some("2") => FmiVersion::Two,
@@ -199,11 +152,7 @@ impl ModelDescription {
         let declarations = Declarations::read(root, version)?;
         let mut variables: Vec<Variable> = Vec::new();
         for element in &listed.children {
-            let variable = match version {
-                FmiVersion::Two => read_fmi2_variable(element, &declarations)?,
-                FmiVersion::Three => read_fmi3_variable(element, &declarations)?,
-            };
-            variables.extend(variable);
+            variables.extend(read_variable(element, version, &declarations)?);
             if variables.len() > MAX_VARIABLES {
                 return Err(error_at(element, format!("there are more than {MAX_VARIABLES} variables")));
             }
@@ -229,42 +178,25 @@ impl ModelDescription {
     }
 }
 
-/// Reads a `ScalarVariable`; none if a controller cannot use it.
-fn read_fmi2_variable(
-    element: &XmlElement,
-    declarations: &Declarations<'_>,
-) -> Result<Option<Variable>, InvalidDescription> {
-    let types = [("Real", VariableType::Real), ("Integer", VariableType::Integer), ("Boolean", VariableType::Boolean)];
-    let typed = types.into_iter().find_map(|(name, kind)| Some((element.child(name)?, kind)));
-    match typed {
-        Some((typed, kind)) => read_variable(element, typed, kind, declarations),
-        None => Ok(None),
-    }
-}
-
-/// Reads a variable of FMI 3; none if a controller cannot use it, such as an array.
-fn read_fmi3_variable(
-    element: &XmlElement,
-    declarations: &Declarations<'_>,
-) -> Result<Option<Variable>, InvalidDescription> {
-    let kind = match element.name {
-        "Float64" => VariableType::Real,
-        "Int32" => VariableType::Integer,
-        "Boolean" => VariableType::Boolean,
-        _ => return Ok(None),
-    };
-    if element.child("Dimension").is_some() {
-        return Ok(None);
-    }
-    read_variable(element, element, kind, declarations)
-}
-
+/// Reads a variable; none if a controller cannot use it, such as an array of FMI 3. Its type is a child in FMI 2.
 fn read_variable(
     element: &XmlElement,
-    typed: &XmlElement,
-    kind: VariableType,
+    version: FmiVersion,
     declarations: &Declarations<'_>,
 ) -> Result<Option<Variable>, InvalidDescription> {
+    let typed = match version {
+        FmiVersion::Two => ["Real", "Integer", "Boolean"].into_iter().find_map(|name| element.child(name)),
+        FmiVersion::Three => {
+            let is_scalar = element.child("Dimension").is_none();
+            Some(element).filter(|typed| is_scalar && ["Float64", "Int32", "Boolean"].contains(&typed.name))
+        }
+    };
+    let Some(typed) = typed else { return Ok(None) };
+    let kind = match typed.name {
+        "Real" | "Float64" => VariableType::Real,
+        "Integer" | "Int32" => VariableType::Integer,
+        _ => VariableType::Boolean,
+    };
     let causality = match element.attribute("causality") {
         Some("input") => Causality::Input,
         Some("output") => Causality::Output,
@@ -307,12 +239,6 @@ pub(crate) fn bool_attribute(of: &XmlElement, name: &str) -> Result<bool, Invali
 
 pub(crate) fn error_at(element: &XmlElement, problem: impl Into<String>) -> InvalidDescription {
     InvalidDescription::AtLine { line: element.line, problem: problem.into() }
-}
-
-impl From<XmlError> for InvalidDescription {
-    fn from(XmlError { line, problem }: XmlError) -> Self {
-        Self::AtLine { line, problem }
-    }
 }
 
 #[cfg(test)]

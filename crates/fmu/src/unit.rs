@@ -65,20 +65,10 @@ pub struct Conversion {
 }
 
 impl Conversion {
-    #[must_use]
-    pub(crate) fn is_identity(&self) -> bool {
-        self.factor == 1.0 && self.offset == 0.0
-    }
-
     /// Converts an SI value into this unit.
     #[must_use]
     pub fn from_si(&self, value: f64) -> f64 {
         (value - self.offset) / self.factor
-    }
-
-    /// Returns the conversion of differences, to which an offset does not apply (`relativeQuantity`).
-    pub(crate) fn for_differences(self) -> Self {
-        Self { offset: 0.0, ..self }
     }
 }
 
@@ -104,7 +94,7 @@ impl fmt::Display for DeclaredUnit {
         out.write_str(&self.name)?;
         match &self.conversion {
             None => out.write_str(" (not defined)"),
-            Some(conversion) if conversion.is_identity() => Ok(()),
+            Some(Conversion { factor: 1.0, offset: 0.0, .. }) => Ok(()),
             Some(Conversion { dimension, factor, offset }) => {
                 write!(out, " (SI: {factor} x")?;
                 if *offset != 0.0 {
@@ -132,16 +122,14 @@ mod tests {
         assert_eq!(DeclaredUnit::undefined("furlong").to_string(), "furlong (not defined)");
         assert_eq!(UnitDimension::NONE.to_string(), "1");
         assert_eq!(UnitDimension::metres_seconds(1, -2).to_string(), "m.s-2");
-        assert_eq!(
-            DeclaredUnit::undefined("m/s²").conversion.map(|found| found.dimension),
-            Some(UnitDimension::metres_seconds(1, -2))
-        );
+        let si = DeclaredUnit::undefined("m/s²").conversion.unwrap();
+        assert_eq!(si.dimension, UnitDimension::metres_seconds(1, -2));
     }
 
     #[test]
     fn si_values_are_converted_by_factor_and_offset() {
         let fahrenheit = Conversion { dimension: UnitDimension::NONE, factor: 5.0 / 9.0, offset: 459.67 * 5.0 / 9.0 };
         assert!((fahrenheit.from_si(273.15) - 32.0).abs() < 1e-9);
-        assert!((fahrenheit.for_differences().from_si(10.0) - 18.0).abs() < 1e-9);
+        assert!((Conversion { offset: 0.0, ..fahrenheit }.from_si(10.0) - 18.0).abs() < 1e-9);
     }
 }

@@ -3,10 +3,53 @@
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::{Reader, XmlVersion};
 
+use crate::description::InvalidDescription;
+use crate::unit::BASE_UNITS;
+
 /// Maximum depth of a kept element; the root has depth 1. Dropping elements recurses to this depth.
 const MAX_DEPTH: usize = 4;
 /// Maximum number of kept elements and attributes.
 const MAX_ITEMS: usize = 4_000_000;
+
+/// Elements that are read. FMI 2 wraps the type of a variable in `ScalarVariable`, and a declared type in `SimpleType`.
+const ELEMENTS: [&str; 16] = [
+    "fmiModelDescription",
+    "CoSimulation",
+    "UnitDefinitions",
+    "Unit",
+    "BaseUnit",
+    "TypeDefinitions",
+    "SimpleType",
+    "Float64Type",
+    "ModelVariables",
+    "ScalarVariable",
+    "Real",
+    "Integer",
+    "Boolean",
+    "Float64",
+    "Int32",
+    "Dimension",
+];
+/// Attributes that are read, besides the exponents of base units.
+const ATTRIBUTES: [&str; 17] = [
+    "fmiVersion",
+    "modelName",
+    "guid",
+    "instantiationToken",
+    "modelIdentifier",
+    "needsExecutionTool",
+    "canBeInstantiatedOnlyOncePerProcess",
+    "name",
+    "description",
+    "valueReference",
+    "causality",
+    "start",
+    "unit",
+    "declaredType",
+    "relativeQuantity",
+    "factor",
+    "offset",
+];
 
 #[derive(Debug)]
 pub(crate) struct XmlElement {
@@ -16,12 +59,6 @@ pub(crate) struct XmlElement {
     attributes: Vec<(&'static str, String)>,
     /// Children in the order of the text.
     pub(crate) children: Vec<XmlElement>,
-}
-
-#[derive(Debug)]
-pub(crate) struct XmlError {
-    pub(crate) line: u32,
-    pub(crate) problem: String,
 }
 
 impl XmlElement {
@@ -36,25 +73,26 @@ impl XmlElement {
     /// Reads the root element. Keeps only listed elements and attributes; drops the children of dropped elements.
     ///
     /// # Errors
-    /// [`XmlError`] for a text that is not well-formed, has a document type declaration, or has a root of another name.
-    pub(crate) fn parse(text: &str, elements: &[&'static str], attributes: &[&'static str]) -> Result<Self, XmlError> {
-        let mut names = XmlFilter { elements, attributes, kept_items: 0 };
+    /// [`InvalidDescription`] for a text that is not well-formed, has a document type declaration, or has a root of
+    /// another name.
+    pub(crate) fn parse(text: &str) -> Result<Self, InvalidDescription> {
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         let mut lines = LineCounter { text: text.as_bytes(), offset: 0, line: 1 };
         let mut reader = Reader::from_str(text);
         let (mut root, mut open, mut skipped): (Option<Self>, Vec<Self>, usize) = (None, Vec::new(), 0);
+        let mut kept_items = 0;
         loop {
             let start = reader.buffer_position();
             let event = reader.read_event();
             let line = lines.line_at(if event.is_err() { reader.error_position() } else { start });
-            let wrong = |problem: String| XmlError { line, problem };
+            let wrong = |problem: String| InvalidDescription::AtLine { line, problem };
             let is_outside = open.is_empty() && skipped == 0;
             let done = match event.map_err(|error| wrong(error.to_string()))? {
                 Event::Start(_) | Event::Empty(_) if is_outside && root.is_some() => {
                     return Err(wrong("there is a second root element".to_owned()));
                 }
                 Event::Start(tag) => {
-                    let element = names.read_start_tag(&tag, line).map_err(wrong)?;
+                    let element = read_start_tag(&tag, line, &mut kept_items).map_err(wrong)?;
                     match element.filter(|_| skipped == 0 && open.len() < MAX_DEPTH) {
                         Some(element) => open.push(element),
                         None => skipped += 1,
@@ -62,7 +100,7 @@ impl XmlElement {
                     None
                 }
                 Event::Empty(tag) => {
-                    let element = names.read_start_tag(&tag, line).map_err(wrong)?;
+                    let element = read_start_tag(&tag, line, &mut kept_items).map_err(wrong)?;
                     element.filter(|_| skipped == 0 && open.len() < MAX_DEPTH)
                 }
                 Event::End(_) if skipped > 0 => {
@@ -71,10 +109,8 @@ impl XmlElement {
                 }
                 Event::End(_) => open.pop(),
                 Event::DocType(_) => return Err(wrong("has a document type declaration".to_owned())),
-                Event::Text(text) if is_outside && !text.iter().all(u8::is_ascii_whitespace) => {
-                    return Err(wrong("there is text outside of the root element".to_owned()));
-                }
-                Event::CData(_) | Event::GeneralRef(_) if is_outside => {
+                Event::Text(text) if text.iter().all(u8::is_ascii_whitespace) => None,
+                Event::Text(_) | Event::CData(_) | Event::GeneralRef(_) if is_outside => {
                     return Err(wrong("there is text outside of the root element".to_owned()));
                 }
                 Event::Eof if !is_outside => return Err(wrong("the text ends within an element".to_owned())),
@@ -91,32 +127,25 @@ impl XmlElement {
     }
 }
 
-struct XmlFilter<'n> {
-    elements: &'n [&'static str],
-    attributes: &'n [&'static str],
-    kept_items: usize,
-}
-
-impl XmlFilter<'_> {
-    /// Reads a start tag; none for an element that is not kept. Checks attributes in any case.
-    fn read_start_tag(&mut self, tag: &BytesStart<'_>, line: u32) -> Result<Option<XmlElement>, String> {
-        let find = |names: &[&'static str], name: &[u8]| names.iter().copied().find(|known| known.as_bytes() == name);
-        let mut attributes = Vec::new();
-        for attribute in tag.attributes() {
-            let attribute = attribute.map_err(|error| error.to_string())?;
-            if let Some(name) = find(self.attributes, attribute.key.as_ref()) {
-                let value = attribute.normalized_value(XmlVersion::Implicit1_0);
-                let value = value.map_err(|error| format!("attribute `{name}`: {error}"))?;
-                attributes.push((name, value.into_owned()));
-            }
+/// Reads a start tag; none for an element that is not kept. Checks attributes in any case.
+fn read_start_tag(tag: &BytesStart<'_>, line: u32, kept_items: &mut usize) -> Result<Option<XmlElement>, String> {
+    let find = |names: &[&'static str], name: &[u8]| names.iter().copied().find(|known| known.as_bytes() == name);
+    let mut attributes = Vec::new();
+    for attribute in tag.attributes() {
+        let attribute = attribute.map_err(|error| error.to_string())?;
+        let key = attribute.key.as_ref();
+        if let Some(name) = find(&ATTRIBUTES, key).or_else(|| find(&BASE_UNITS, key)) {
+            let value = attribute.normalized_value(XmlVersion::Implicit1_0);
+            let value = value.map_err(|error| format!("attribute `{name}`: {error}"))?;
+            attributes.push((name, value.into_owned()));
         }
-        let Some(name) = find(self.elements, tag.local_name().as_ref()) else { return Ok(None) };
-        self.kept_items += 1 + attributes.len();
-        if self.kept_items > MAX_ITEMS {
-            return Err(format!("there are more than {MAX_ITEMS} elements and attributes"));
-        }
-        Ok(Some(XmlElement { name, line, attributes, children: Vec::new() }))
     }
+    let Some(name) = find(&ELEMENTS, tag.local_name().as_ref()) else { return Ok(None) };
+    *kept_items += 1 + attributes.len();
+    if *kept_items > MAX_ITEMS {
+        return Err(format!("there are more than {MAX_ITEMS} elements and attributes"));
+    }
+    Ok(Some(XmlElement { name, line, attributes, children: Vec::new() }))
 }
 
 struct LineCounter<'a> {

@@ -1,14 +1,14 @@
 //! Search for collisions of one controller; it also checks the invariants.
 
-use std::io;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::{fs, io};
 
-use super::{CollisionCorpus, Crumple, TestCase, TestedController, Violation, behaviour};
+use super::{Crumple, RUN_ORACLES, TestCase, TestedController, Violation, behaviour};
 use crumple_world::control::FmuProblem;
 use crumple_world::scenario::controller_file::ControllerFileError;
 use crumple_world::scenario::{InvalidField, Scenario, whole_multiple};
-use crumple_world::sim::{Run, RunError, UnknownController};
+use crumple_world::sim::{Run, RunError, SimulationResult, UnknownController};
 
 /// Interval, in inputs, at which all oracles are checked even without new features: they take many times as long as a
 /// run.
@@ -18,7 +18,8 @@ const FULL_CHECK_INTERVAL: usize = 16;
 #[derive(Debug)]
 pub struct CollisionSearch {
     controller: Option<TestedController>,
-    collisions: Option<CollisionCorpus>,
+    /// Folder with one scenario file per kind of collision.
+    collisions: Option<PathBuf>,
     seen_features: Vec<AtomicBool>,
     input_count: AtomicUsize,
 }
@@ -65,9 +66,10 @@ impl CollisionSearch {
     /// [`CollisionSearchError`] if the controller does not exist, is a process or an FMU, or has an unsuitable
     /// interval, or if the folder cannot be created.
     pub fn new(controller: &str, collisions: Option<&Path>) -> Result<Self, CollisionSearchError> {
+        collisions.map_or(Ok(()), fs::create_dir_all)?;
         Ok(Self {
             controller: if controller == "any" { None } else { Some(find_controller(controller)?) },
-            collisions: collisions.map(CollisionCorpus::open).transpose()?,
+            collisions: collisions.map(Path::to_owned),
             seen_features: (0..behaviour::FEATURE_COUNT).map(|_| AtomicBool::new(false)).collect(),
             input_count: AtomicUsize::new(0),
         })
@@ -100,7 +102,7 @@ impl CollisionSearch {
         {
             return Ok(Vec::new());
         }
-        let result = test_case.check_run(&Crumple)?;
+        let result = test_case.check_each(&RUN_ORACLES, &Crumple)?;
         let features = behaviour::extract_features(&test_case, &result);
         let is_new =
             |&feature: &usize| self.seen_features.get(feature).is_some_and(|seen| !seen.swap(true, Ordering::Relaxed));
@@ -110,10 +112,23 @@ impl CollisionSearch {
             test_case.check_all(&Crumple)?;
         }
         if let Some(collisions) = &self.collisions {
-            collisions.insert(&test_case, &result)?;
+            write_collision(collisions, &test_case, &result)?;
         }
         Ok(features)
     }
+}
+
+/// Writes the scenario if a vehicle under test collided and no collision of this kind is there.
+fn write_collision(folder: &Path, test_case: &TestCase, result: &SimulationResult) -> io::Result<()> {
+    let Some(kind) = behaviour::collision_kind(test_case, result) else { return Ok(()) };
+    let path = folder.join(format!("{kind}.toml"));
+    if path.exists() {
+        return Ok(());
+    }
+    let about = format!("Found by `cargo fuzz run scenario` under {}.", test_case.setup.controller.name());
+    let named = test_case.scenario.edited(|spec| (spec.name, spec.about) = (kind, about));
+    let scenario = named.unwrap_or_else(|_| test_case.scenario.clone());
+    fs::write(&path, TestCase { scenario, setup: test_case.setup.clone() }.reproducer())
 }
 
 fn find_controller(name: &str) -> Result<TestedController, CollisionSearchError> {

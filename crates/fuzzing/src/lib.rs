@@ -10,7 +10,6 @@
 
 pub mod behaviour;
 mod choices;
-mod collection;
 mod collision_search;
 mod driver;
 mod formula;
@@ -26,14 +25,13 @@ mod violation;
 
 use std::fmt;
 
-use arbitrary::{Arbitrary, Unstructured};
+use arbitrary::Unstructured;
 
-pub(crate) use collection::CollisionCorpus;
 pub use collision_search::{CollisionSearch, CollisionSearchError};
 pub use driver::{CONTROLLERS, controller_from_bytes, make_scripted, profile_from_bytes};
 pub use formula::formula_from_bytes;
 pub(crate) use lanes::{LANE_BYTES, with_lane_changes};
-pub(crate) use oracle::RUN_ORACLE_COUNT;
+pub(crate) use oracle::RUN_ORACLES;
 pub use oracle::{LANE_ORACLES, ORACLES, OracleContext, OracleFn, OracleOutcome};
 pub use scenario::{SCENARIO_BYTES, read_scenario, read_scenario_of_shape};
 pub use setup::{ControllerByName, RunSetup, SETUP_BYTES, TestedController};
@@ -57,16 +55,6 @@ pub struct TestCase {
     pub scenario: Scenario,
     /// Controller under test and simulation settings.
     pub setup: RunSetup,
-}
-
-impl<'b> Arbitrary<'b> for TestCase {
-    fn arbitrary(from: &mut Unstructured<'b>) -> arbitrary::Result<Self> {
-        Ok(Self { scenario: read_scenario(from), setup: RunSetup::read(from) })
-    }
-
-    fn size_hint(_depth: usize) -> (usize, Option<usize>) {
-        (0, Some(TEST_CASE_BYTES))
-    }
 }
 
 impl fmt::Debug for TestCase {
@@ -105,23 +93,11 @@ impl TestCase {
         self.check_each(&ORACLES, system)
     }
 
-    /// Checks all oracles that apply to scenarios with lane changes.
+    /// Checks some oracles and returns the simulated run.
     ///
     /// # Errors
     /// The first [`Violation`] found.
-    pub(crate) fn check_lanes(&self, system: &dyn System) -> Result<SimulationResult, Violation> {
-        self.check_each(&LANE_ORACLES, system)
-    }
-
-    /// Checks the oracles that examine a single run, at little more than the cost of the run.
-    ///
-    /// # Errors
-    /// The first [`Violation`] found.
-    pub(crate) fn check_run(&self, system: &dyn System) -> Result<SimulationResult, Violation> {
-        self.check_each(&ORACLES[..RUN_ORACLE_COUNT], system)
-    }
-
-    fn check_each(&self, oracles: &[OracleFn], system: &dyn System) -> Result<SimulationResult, Violation> {
+    pub(crate) fn check_each(&self, oracles: &[OracleFn], system: &dyn System) -> Result<SimulationResult, Violation> {
         let question = OracleContext::new(self, system)?;
         for &oracle in oracles {
             question.check(oracle)?;

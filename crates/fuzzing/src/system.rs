@@ -60,11 +60,7 @@ pub trait System {
     /// # Errors
     /// [`FileError`] if the written text cannot be read.
     fn file_round_trip(&self, scenario: &Scenario, format: ScenarioFormat) -> Result<Scenario, FileError> {
-        let text = format.to_text(scenario);
-        match format {
-            ScenarioFormat::Toml => from_toml(&text, Path::new("test_case.toml")),
-            ScenarioFormat::Json => from_json(&text, Path::new("test_case.json")),
-        }
+        format.read(&format.to_text(scenario))
     }
 
     /// Returns the robustness of a formula over time.
@@ -127,6 +123,17 @@ impl ScenarioFormat {
         match self {
             Self::Toml => to_toml(scenario).unwrap_or_default(),
             Self::Json => serde_json::to_string_pretty(scenario.spec()).unwrap_or_default(),
+        }
+    }
+
+    /// Reads a scenario; errors name the file `f.toml` or `f.json`.
+    ///
+    /// # Errors
+    /// [`FileError`] if the text is no scenario file.
+    pub fn read(self, text: &str) -> Result<Scenario, FileError> {
+        match self {
+            Self::Toml => from_toml(text, Path::new("f.toml")),
+            Self::Json => from_json(text, Path::new("f.json")),
         }
     }
 }

@@ -10,14 +10,15 @@ use crumple_verify::{Certificate, WorkLimit, check_with};
 use super::oracle::motion_is_physical;
 use super::run_folder;
 use super::{
-    Crumple, Invariant, ORACLES, OracleContext, OracleOutcome, RunSetup, ScenarioFormat, System, TestCase, Violation,
+    Crumple, Invariant, LANE_ORACLES, ORACLES, OracleContext, OracleOutcome, RunSetup, ScenarioFormat, System,
+    TestCase, Violation,
 };
 use crumple_world::measure::stl::{Formula, SampledSignals, SyntaxProblem, naive_robustness};
 use crumple_world::network::NetworkFile;
 use crumple_world::policy::{Policy, Workspace};
 use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{self, LeaderSelection, MinBrake, find_episodes};
-use crumple_world::scenario::file::{from_json, from_toml, to_toml};
+use crumple_world::scenario::file::{from_toml, to_toml};
 use crumple_world::scenario::{Scenario, built_in_scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
 
@@ -58,7 +59,7 @@ pub fn scenario(bytes: &[u8]) -> Result<(), Violation> {
 /// # Errors
 /// The first [`Violation`] found.
 pub fn lanes(bytes: &[u8]) -> Result<(), Violation> {
-    TestCase::from_bytes_with_lanes(bytes).check_lanes(&Crumple).map(drop)
+    TestCase::from_bytes_with_lanes(bytes).check_each(&LANE_ORACLES, &Crumple).map(drop)
 }
 
 /// Counts the oracles that a test case does not leave undecided.
@@ -80,22 +81,24 @@ pub fn count_decided(bytes: &[u8]) -> Result<usize, Violation> {
 pub fn scenario_file(bytes: &[u8]) -> Result<(), Violation> {
     let Ok(text) = std::str::from_utf8(bytes) else { return Ok(()) };
     for format in ScenarioFormat::ALL {
-        let (path, read) = match format {
-            ScenarioFormat::Toml => ("f.toml", from_toml(text, Path::new("f.toml"))),
-            ScenarioFormat::Json => ("f.json", from_json(text, Path::new("f.json"))),
-        };
-        match read {
+        match format.read(text) {
             Ok(scenario) => check_accepted_scenario(&scenario, format)?,
             Err(error) => {
                 let message = error.to_string();
-                let line = message.strip_prefix(path).and_then(|rest| rest.strip_prefix(':'));
-                let line = line.and_then(|rest| rest.split_once(": ")?.0.parse().ok());
+                let line = error_line(&message);
                 let lines = 1 + text.matches('\n').count();
                 ensure(line.is_some_and(|line| (1..=lines).contains(&line)), Invariant::Reading, text, || message)?;
             }
         }
     }
     Ok(())
+}
+
+/// Returns the line that an error of [`ScenarioFormat::read`] names: `file:line: …`.
+#[must_use]
+pub fn error_line(message: &str) -> Option<usize> {
+    let rest = message.strip_prefix("f.toml:").or(message.strip_prefix("f.json:"))?;
+    rest.split_once(": ")?.0.parse().ok()
 }
 
 fn check_accepted_scenario(scenario: &Scenario, format: ScenarioFormat) -> Result<(), Violation> {
@@ -122,13 +125,10 @@ pub fn policy_file(bytes: &[u8]) -> Result<(), Violation> {
     let header = format!("{:?}", policy.header());
     let written = policy.to_bytes().ok();
     let back = written.as_ref().and_then(|written| Policy::from_bytes(written).ok());
-    ensure(back.as_ref() == Some(&policy), Invariant::Reading, &header, || {
-        "it differs from what was written".to_owned()
-    })?;
-    let Some(short) = built_in_scenario("paper-1").and_then(|paper| paper.edited(|spec| spec.duration_s = 2.0).ok())
-    else {
-        return Ok(());
-    };
+    let same = back.as_ref() == Some(&policy);
+    ensure(same, Invariant::Reading, &header, || "it differs from what was written".to_owned())?;
+    let short = built_in_scenario("paper-1").and_then(|paper| paper.edited(|spec| spec.duration_s = 2.0).ok());
+    let Some(short) = short else { return Ok(()) };
     // The decision interval of a policy may not be a multiple of the step of this scenario.
     if let Ok(run) = Run::new(&short, RunOptions::new(std::sync::Arc::new(policy))) {
         let result = simulate(&run, RecordingLevel::Summary);
@@ -274,18 +274,18 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
         Ok(formula) => formula,
         Err(crumple_world::measure::stl::FormulaParseError { column, problem }) => {
             let columns = 1..=1 + text.chars().count();
-            return ensure(columns.contains(&column), Invariant::Reading, text, || {
-                format!("column {column}: {problem}")
-            });
+            let is_there = columns.contains(&column);
+            return ensure(is_there, Invariant::Reading, text, || format!("column {column}: {problem}"));
         }
     };
     let printed = formula.to_string();
     match printed.parse::<Formula>() {
         // Printing adds parentheses and may expand a sum: a text at the limits can exceed them.
         Err(error) if matches!(error.problem, SyntaxProblem::TooLong { .. }) => {}
-        back => ensure(back.as_ref() == Ok(&formula), Invariant::Reading, text, || {
-            format!("{printed} reads back as {back:?}")
-        })?,
+        back => {
+            let same = back.as_ref() == Ok(&formula);
+            ensure(same, Invariant::Reading, text, || format!("{printed} reads back as {back:?}"))?;
+        }
     }
     let Ok(mut signals) = SampledSignals::new(0.1, SAMPLES) else { return Ok(()) };
     for (name, seed) in formula.signal_names().into_iter().zip(1_usize..) {
@@ -298,9 +298,8 @@ pub fn stl(bytes: &[u8]) -> Result<(), Violation> {
     let (Ok(robustness), Ok(defined)) = (formula.robustness(&signals), naive_robustness(&formula, &signals, 0)) else {
         return Ok(());
     };
-    ensure(robustness == defined, Invariant::Monitor, text, || {
-        format!("robustness {robustness}, defined as {defined}")
-    })?;
+    let same = robustness == defined;
+    ensure(same, Invariant::Monitor, text, || format!("robustness {robustness}, defined as {defined}"))?;
     let satisfied = formula.is_satisfied(&signals);
     let sign = robustness == 0.0 || satisfied == Ok(robustness > 0.0);
     ensure(sign, Invariant::Monitor, text, || format!("robustness {robustness}, satisfied {satisfied:?}"))

@@ -1,7 +1,5 @@
 //! Violated invariants with their reproducers.
 
-use std::fmt;
-
 use super::{TestCase, TestedController};
 use crumple_core::quoting::ShellWord;
 use crumple_world::control::ControllerSpec;
@@ -11,76 +9,69 @@ use crumple_world::scenario::file::to_toml;
 use crumple_world::sim::AfterContact;
 
 /// An invariant that must hold in every test case.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, thiserror::Error)]
 #[non_exhaustive]
 pub enum Invariant {
     /// A generated scenario can be run.
+    #[error("a valid scenario can be run")]
     Runnable,
     /// No vehicle reverses.
+    #[error("no vehicle reverses")]
     ForwardMotion,
     /// The position of a vehicle follows from its speed.
+    #[error("every position agrees with the speed")]
     Continuity,
     /// Brakes and impacts never add energy.
+    #[error("brakes and impacts do not add energy")]
     Energy,
     /// Impacts conserve momentum.
+    #[error("impacts keep momentum")]
     Momentum,
     /// Vehicles that collided stay together, and no pair collides twice.
+    #[error("vehicles that collided stay together")]
     Sticking,
     /// Verdict, summary and trace agree.
+    #[error("verdict, summary and trace agree")]
     MetricsAgree,
     /// No vehicle exceeds the limits of road and vehicle.
+    #[error("no vehicle exceeds the limits of road and vehicle")]
     Limits,
     /// The reported role in a collision is that of the trace.
+    #[error("the role in the collision agrees with the trace")]
     ContactRole,
     /// The batch engine gives the results of the scalar engine to the last bit.
+    #[error("the batch engine gives the same bits as the scalar engine")]
     Engines,
     /// The integration step has no influence.
+    #[error("the integration step does not change the verdict")]
     StepSize,
     /// Estimates are finite, speeds are not negative, and errors are bounded.
+    #[error("estimates are finite and near the truth")]
     Estimates,
     /// A scenario survives a round trip through a file.
+    #[error("a file that was written reads back identically")]
     Files,
     /// The robustness of the monitor is that of the definition, and its sign the verdict.
+    #[error("robustness agrees with its definition, and its sign with the verdict")]
     Monitor,
     /// A vehicle with a shield does not hit its leader.
+    #[error("a shielded vehicle does not hit its leader")]
     Shield,
     /// No driver does what is proved impossible.
+    #[error("no controller achieves what is proved impossible")]
     Avoidability,
     /// The checker gives the same answer to a certificate after a round trip.
+    #[error("the checker accepts an accepted certificate again after writing and reading")]
     Certificates,
     /// A text or file is read or refused as documented.
+    #[error("crumple reads a file or refuses it with a reason")]
     Reading,
     /// The content of a run folder is what was written, or is refused.
+    #[error("the files of a run folder are unchanged, or crumple refuses them")]
     Folders,
     /// Times in the lane are consistent, and vehicles outside the lane have no influence.
+    #[error("times in the lane are consistent, and vehicles outside the lane have no influence")]
     Lanes,
-}
-
-impl fmt::Display for Invariant {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.write_str(match self {
-            Self::Runnable => "a valid scenario can be run",
-            Self::ForwardMotion => "no vehicle reverses",
-            Self::Continuity => "every position agrees with the speed",
-            Self::Energy => "brakes and impacts do not add energy",
-            Self::Momentum => "impacts keep momentum",
-            Self::Sticking => "vehicles that collided stay together",
-            Self::MetricsAgree => "verdict, summary and trace agree",
-            Self::Limits => "no vehicle exceeds the limits of road and vehicle",
-            Self::ContactRole => "the role in the collision agrees with the trace",
-            Self::Engines => "the batch engine gives the same bits as the scalar engine",
-            Self::StepSize => "the integration step does not change the verdict",
-            Self::Estimates => "estimates are finite and near the truth",
-            Self::Files => "a file that was written reads back identically",
-            Self::Monitor => "robustness agrees with its definition, and its sign with the verdict",
-            Self::Shield => "a shielded vehicle does not hit its leader",
-            Self::Avoidability => "no controller achieves what is proved impossible",
-            Self::Certificates => "the checker accepts an accepted certificate again after writing and reading",
-            Self::Reading => "crumple reads a file or refuses it with a reason",
-            Self::Lanes => "times in the lane are consistent, and vehicles outside the lane have no influence",
-            Self::Folders => "the files of a run folder are unchanged, or crumple refuses them",
-        })
-    }
 }
 
 /// A violated invariant.

@@ -16,6 +16,13 @@ use crumple_world::recording::{HardestBrakingResult, Preview, SpeedLine};
 /// Width of a figure, and height of its panel, in pixels.
 const FIGURE_WIDTH: f64 = 720.0;
 const PANEL_HEIGHT: f64 = 260.0;
+/// Size of a figure with one panel.
+const FIGURE_SIZE: (f64, f64) = (FIGURE_WIDTH, HEADING_HEIGHT + PANEL_HEIGHT + BOTTOM_MARGIN);
+
+/// Returns the frame of a panel as wide as the figure.
+fn panel_frame(top: f64) -> PixelRect {
+    PixelRect { left: LEFT_MARGIN + 24.0, top, width: FIGURE_WIDTH - LEFT_MARGIN - 40.0, height: PANEL_HEIGHT }
+}
 
 /// A learning curve's result that a source states in words, without the numbers of the curve.
 #[derive(Debug, Clone, PartialEq)]
@@ -42,16 +49,10 @@ pub fn draw_learning_curve_with_reference(curve: &LearningCurve, stated: Option<
     // The stated result may lie beyond the trained episodes.
     let last = stated.map_or(trained, |stated| 1.1 * trained.max(stated.from_episode as f64));
     let low = points.iter().map(|point| point.mean_reward - point.deviation).fold(0.0, f64::min);
-    let frame = PixelRect {
-        left: LEFT_MARGIN + 24.0,
-        top: HEADING_HEIGHT,
-        width: FIGURE_WIDTH - LEFT_MARGIN - 40.0,
-        height: PANEL_HEIGHT,
-    };
     let title = format!("Reward in evaluation, preset {preset}, {seeds} seeds: mean and standard deviation");
     let x = Axis::numeric("episode", (0.0, last), 8);
     let y = Axis::numeric("", (low, COLLISION_FREE_REWARD * 1.06), 6);
-    let mut panel = Panel::new(frame, &title, x, y);
+    let mut panel = Panel::new(panel_frame(HEADING_HEIGHT), &title, x, y);
     let line = |of: &dyn Fn(&CurvePoint) -> f64| points.iter().map(|p| (p.episode as f64, of(p))).collect::<Vec<_>>();
     panel.add_band(&line(&|p| p.mean_reward + p.deviation), &line(&|p| p.mean_reward - p.deviation), Ink::Series(0));
     panel.add_horizontal_line(COLLISION_FREE_REWARD, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
@@ -77,22 +78,12 @@ pub fn draw_learning_curve_with_reference(curve: &LearningCurve, stated: Option<
         panel.add_segment(at, (last, *reward), Stroke { width: 2.4, ..Stroke::series(1) });
         panel.add_markers(&[at], Marker::Ring, Ink::Series(1));
         let said = format!("{} from about episode {from_episode} on", format_thousands(*reward));
-        panel.add_note(
-            words_at(-1.0),
-            Anchor::End,
-            &format!("ring and line: {source}, by its text: {said}"),
-            Ink::Series(1),
-        );
+        let words = format!("ring and line: {source}, by its text: {said}");
+        panel.add_note(words_at(-1.0), Anchor::End, &words, Ink::Series(1));
         description += &format!(" Of {source} only what its text states is drawn, {said}: its curve has no numbers.");
     }
     let content = panel.draw(&Svg::id("learning-curve", "frame"));
-    Svg::new(
-        "learning-curve",
-        (FIGURE_WIDTH, HEADING_HEIGHT + PANEL_HEIGHT + BOTTOM_MARGIN),
-        &title,
-        &description,
-        content,
-    )
+    Svg::new("learning-curve", FIGURE_SIZE, &title, &description, content)
 }
 
 /// Formats a reward as in 22 500.
@@ -140,15 +131,9 @@ pub fn draw_retraining(rounds: &[RetrainingRound]) -> Svg {
         ends.push((done as f64, format!("round {number} {word}")));
     }
     let most = points.iter().map(|point| point.1).fold(1.0, f64::max);
-    let frame = PixelRect {
-        left: LEFT_MARGIN + 24.0,
-        top: HEADING_HEIGHT,
-        width: FIGURE_WIDTH - LEFT_MARGIN - 40.0,
-        height: PANEL_HEIGHT,
-    };
     let title = "Collisions in the avoidable scenarios that select checkpoints";
     let x = Axis::numeric("episode", (0.0, done.max(1) as f64), 8);
-    let mut panel = Panel::new(frame, title, x, Axis::numeric("", (0.0, most * 1.15), 6));
+    let mut panel = Panel::new(panel_frame(HEADING_HEIGHT), title, x, Axis::numeric("", (0.0, most * 1.15), 6));
     for (end, words) in &ends {
         panel.add_vertical_line(*end, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
         panel.add_note((*end * 0.995, most * 1.08), Anchor::End, words, Ink::Muted);
@@ -158,20 +143,18 @@ pub fn draw_retraining(rounds: &[RetrainingRound]) -> Svg {
     let content = panel.draw(&Svg::id("retraining", "frame"));
     let description =
         "A ring is the candidate of its round. Checkpoints that collide in the paper's scenarios are omitted.";
-    Svg::new("retraining", (FIGURE_WIDTH, HEADING_HEIGHT + PANEL_HEIGHT + BOTTOM_MARGIN), title, description, content)
+    Svg::new("retraining", FIGURE_SIZE, title, description, content)
 }
 
 /// Draws a recording: speeds of its vehicles, and the gaps behind them, over time.
 #[must_use]
 pub fn draw_recording(preview: &Preview, file: &str) -> Svg {
     type Points = Vec<(f64, f64)>;
-    let panel = |top: f64, title: &str, of: fn(&SpeedLine) -> &Points| {
-        let frame =
-            PixelRect { left: LEFT_MARGIN + 24.0, top, width: FIGURE_WIDTH - LEFT_MARGIN - 40.0, height: PANEL_HEIGHT };
+    let panel = |name: &str, top: f64, title: &str, of: fn(&SpeedLine) -> &Points| {
         let all = || preview.lines.iter().flat_map(&of);
         let time = Axis::numeric("s", extent(all().map(|point| point.0)), 8);
         let value = Axis::numeric("", pad_interval(extent(all().map(|point| point.1).chain([0.0])), 0.04), 6);
-        let mut panel = Panel::new(frame, title, time, value);
+        let mut panel = Panel::new(panel_frame(top), title, time, value);
         for (index, line) in preview.lines.iter().enumerate() {
             // A line is interrupted at gaps of the recording.
             for part in of(line).chunk_by(|a, b| b.0 - a.0 <= (3.0 * preview.step_s.unwrap_or(0.0)).max(0.5)) {
@@ -181,19 +164,15 @@ pub fn draw_recording(preview: &Preview, file: &str) -> Svg {
         if let HardestBrakingResult::Braking(hardest) = &preview.hardest {
             panel.add_vertical_line(hardest.from_s, Stroke { dash: "2 3", ..Stroke::solid(Ink::Muted, 1.2) });
         }
-        panel
+        panel.draw(&Svg::id("recorded", name))
     };
-    let speeds = panel(HEADING_HEIGHT, "Speed (m/s)", |line| &line.speed_mps);
-    let second = HEADING_HEIGHT + PANEL_HEIGHT + BOTTOM_MARGIN + HEADING_HEIGHT;
-    let gaps = panel(second, "Bumper gap to the vehicle behind (m)", |line| &line.gap_behind_m);
-    let [speeds, gaps] =
-        [("speeds", speeds), ("gaps", gaps)].map(|(name, panel)| panel.draw(&Svg::id("recorded", name)));
-    let shown = preview.lines.len();
-    let description = format!(
-        "Of {} vehicles, the {shown} longest recorded. The dots mark the hardest braking.",
-        preview.lead_vehicles
-    );
-    let content = html! { (speeds) (gaps) };
+    let second = FIGURE_SIZE.1 + HEADING_HEIGHT;
+    let content = html! {
+        (panel("speeds", HEADING_HEIGHT, "Speed (m/s)", |line| &line.speed_mps))
+        (panel("gaps", second, "Bumper gap to the vehicle behind (m)", |line| &line.gap_behind_m))
+    };
+    let (all, shown) = (preview.lead_vehicles, preview.lines.len());
+    let description = format!("Of {all} vehicles, the {shown} longest recorded. The dots mark the hardest braking.");
     Svg::new("recorded", (FIGURE_WIDTH, second + PANEL_HEIGHT + BOTTOM_MARGIN), file, &description, content)
 }
 

@@ -1,6 +1,6 @@
 //! JUnit reports, the XML that build servers read, in the form of <https://github.com/testmoapp/junitxml>.
 
-use std::fmt::{self, Display, Write};
+use std::fmt::{self, Write};
 
 use quick_xml::escape::escape;
 
@@ -44,34 +44,26 @@ pub(crate) struct JunitSuite {
 
 /// Renders suites as XML. Control characters are shown as escapes.
 pub(crate) fn render_xml(name: &str, suites: &[JunitSuite]) -> String {
-    TerminalLines(&JunitReport { name, suites }.to_string()).to_string()
+    let [skipped, failures, errors] = count_statuses(suites.iter().flat_map(|suite| &suite.cases));
+    let (name, tests) = (escape(name), suites.iter().map(|suite| suite.cases.len()).sum::<usize>());
+    let mut text = format!(
+        "<?xml version=\"1.0\" encoding=\"UTF-8\"?>\n<testsuites name=\"{name}\" tests=\"{tests}\" \
+         skipped=\"{skipped}\" failures=\"{failures}\" errors=\"{errors}\">\n"
+    );
+    // Writing to a string cannot fail.
+    let _ = suites.iter().try_for_each(|suite| suite.write(&mut text));
+    TerminalLines(&(text + "</testsuites>\n")).to_string()
 }
 
-struct JunitReport<'a> {
-    name: &'a str,
-    suites: &'a [JunitSuite],
-}
-
-impl Display for JunitReport<'_> {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let all = || self.suites.iter().flat_map(|suite| &suite.cases);
-        let count = |status| all().filter(|case| case.status == status).count();
-        let [skipped, failures, errors] = [JunitStatus::Skipped, JunitStatus::Failed, JunitStatus::Error].map(count);
-        let (name, tests) = (escape(self.name), all().count());
-        writeln!(out, r#"<?xml version="1.0" encoding="UTF-8"?>"#)?;
-        writeln!(
-            out,
-            r#"<testsuites name="{name}" tests="{tests}" skipped="{skipped}" failures="{failures}" errors="{errors}">"#
-        )?;
-        self.suites.iter().try_for_each(|suite| suite.write(out))?;
-        writeln!(out, "</testsuites>")
-    }
+/// Counts the skipped cases, the failures and the errors.
+fn count_statuses<'a>(cases: impl Iterator<Item = &'a JunitCase> + Clone) -> [usize; 3] {
+    [JunitStatus::Skipped, JunitStatus::Failed, JunitStatus::Error]
+        .map(|status| cases.clone().filter(|case| case.status == status).count())
 }
 
 impl JunitSuite {
-    fn write(&self, out: &mut impl Write) -> fmt::Result {
-        let count = |status| self.cases.iter().filter(|case| case.status == status).count();
-        let [skipped, errors, failures] = [JunitStatus::Skipped, JunitStatus::Error, JunitStatus::Failed].map(count);
+    fn write(&self, out: &mut String) -> fmt::Result {
+        let [skipped, failures, errors] = count_statuses(self.cases.iter());
         let (name, tests) = (escape(&self.name), self.cases.len());
         let close = if self.cases.is_empty() && self.properties.is_empty() { "/" } else { "" };
         write!(out, r#"    <testsuite name="{name}" tests="{tests}" skipped="{skipped}" "#)?;
@@ -92,7 +84,7 @@ impl JunitSuite {
 }
 
 impl JunitCase {
-    fn write(&self, out: &mut impl Write) -> fmt::Result {
+    fn write(&self, out: &mut String) -> fmt::Result {
         writeln!(out, r#"        <testcase name="{}">"#, escape(&self.name))?;
         if let Some(element) = self.status.element() {
             let message = self.message.as_ref().map(|message| format!(r#" message="{}""#, escape(message)));

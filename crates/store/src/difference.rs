@@ -77,10 +77,8 @@ mod tests {
         };
         assert_eq!(at("a = 1\nb = 2", "b = 2\na = 1"), None);
         assert_eq!(at("a = 1", "a = 2").unwrap(), "a: 1, 2");
-        assert_eq!(
-            at("a = [{ b = 1 }, { b = 2, c.d = 3 }]", "a = [{ b = 1 }, { b = 2, c.d = 4 }]").unwrap(),
-            "a[1].c.d: 3, 4"
-        );
+        let nested = at("a = [{ b = 1 }, { b = 2, c.d = 3 }]", "a = [{ b = 1 }, { b = 2, c.d = 4 }]");
+        assert_eq!(nested.unwrap(), "a[1].c.d: 3, 4");
         assert_eq!(at("a = [1, 2]", "a = [1]").unwrap(), "a[1]: 2, nothing");
         assert_eq!(at("a = 1", "a.b = 1").unwrap(), "a: 1, a table");
         assert_eq!(at("", "a = 'x'").unwrap(), "a: nothing, \"x\"");
@@ -91,10 +89,8 @@ mod tests {
         let at = |old: &str, new: &str| describe_json(Path::new("a.json"), "count", old, new);
         let message = at(r#"{"runs": 3, "seed": "1"}"#, r#"{"runs": 3, "seed": "2"}"#);
         assert_eq!(message, "a.json: the count there has a different `seed`: \"1\" instead of \"2\"");
-        assert!(
-            at(&format!(r#"{{"a": "{}"}}"#, "x".repeat(201)), "{}")
-                .ends_with("`a`: a text of 201 bytes instead of nothing")
-        );
+        let long = at(&format!(r#"{{"a": "{}"}}"#, "x".repeat(201)), "{}");
+        assert!(long.ends_with("`a`: a text of 201 bytes instead of nothing"), "{long}");
         assert_eq!(at("{", "{}"), "a.json: this is not the file of a count");
     }
 }

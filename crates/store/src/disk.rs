@@ -157,10 +157,9 @@ pub fn make_folder(path: &Path) -> Result<(), DiskError> {
         // Another process was faster.
         Err(_) if path.is_dir() => {}
         Err(_) if path.symlink_metadata().is_ok() => {
-            let problem = if path.is_symlink() {
-                "is a link that does not lead to a folder"
-            } else {
-                "exists and is not a folder"
+            let problem = match path.is_symlink() {
+                true => "is a link that does not lead to a folder",
+                false => "exists and is not a folder",
             };
             return Err(DiskError::at(path)(io::Error::new(io::ErrorKind::AlreadyExists, problem)));
         }
@@ -189,7 +188,8 @@ pub(crate) fn sync_folder(folder: &Path) -> Result<(), DiskError> {
     Ok(())
 }
 
-fn none_if_missing<T>(result: io::Result<T>) -> io::Result<Option<T>> {
+/// Returns `None` for an error about a missing file or folder.
+pub(crate) fn none_if_missing<T>(result: io::Result<T>) -> io::Result<Option<T>> {
     match result {
         Ok(value) => Ok(Some(value)),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(None),

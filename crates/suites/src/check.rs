@@ -245,18 +245,12 @@ fn check_test(test: &TestSpec, place: &str, before: usize) -> Result<usize, Inva
     check_parameters(test, lead, place)?;
     if let Some(ImpactLimit { value, unit, note, .. }) = &test.impact_at_most {
         let (at, found) = (|name: &str| format!("{place}.impact_at_most.{name}"), *unit);
-        ensure(
-            ParameterKind::OwnSpeed.allowed_units().contains(&found),
-            at("unit"),
-            SuiteProblem::ImpactUnit { found },
-        )?;
+        let is_speed = ParameterKind::OwnSpeed.allowed_units().contains(&found);
+        ensure(is_speed, at("unit"), SuiteProblem::ImpactUnit { found })?;
         // Rounded to nine digits, so that the maximum is exactly 360 km/h.
-        let most = (ParameterKind::OwnSpeed.range()[1] / unit.si_factor() * 1e9).round() / 1e9;
-        ensure(
-            *value > 0.0 && *value <= most,
-            at("value"),
-            SuiteProblem::ImpactOutOfRange { max: most, unit: *unit, found: *value },
-        )?;
+        let max = (ParameterKind::OwnSpeed.range()[1] / unit.si_factor() * 1e9).round() / 1e9;
+        let problem = SuiteProblem::ImpactOutOfRange { max, unit: *unit, found: *value };
+        ensure(*value > 0.0 && *value <= max, at("value"), problem)?;
         ensure(note.is_empty() || check_text(note, "").is_ok(), at("note"), SuiteProblem::Text)?;
     }
     let found = before.saturating_add(test.point_count());

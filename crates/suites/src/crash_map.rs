@@ -6,7 +6,7 @@ use crumple_world::sim::NamedController;
 use serde::Serialize;
 
 use super::result::{DISCLAIMER, TestVerdict};
-use super::run::{ControllerSetup, Criterion, SuiteRunError};
+use super::run::{ControllerSetup, Criterion, RunResult, SuiteRunError};
 use super::situation::{Boundary, CrashMapAxis, CrashMapSituation};
 
 const MAX_CELLS: usize = 100;
@@ -100,15 +100,8 @@ impl CrashMapSpec {
     /// # Errors
     /// [`MapProblem`] if a value is out of range.
     pub fn new(situation: CrashMapSituation, cells: [usize; 2]) -> Result<Self, MapProblem> {
-        if !situation.is_in_range() {
-            let ([low, high], unit, found) = match situation {
-                CrashMapSituation::CarFollowing { time_gap_s } => {
-                    (CrashMapSituation::TIME_GAP_RANGE_S, "s", time_gap_s)
-                }
-                CrashMapSituation::CutInGap { own_speed_kmph } | CrashMapSituation::CutInTime { own_speed_kmph } => {
-                    (CrashMapSituation::OWN_SPEED_RANGE_KMPH, "km/h", own_speed_kmph)
-                }
-            };
+        let ([low, high], unit, found) = situation.fixed_parameter();
+        if !(low..=high).contains(&found) {
             return Err(MapProblem::OutOfRange { low, high, unit, found });
         }
         match cells.iter().all(|cells| (2..=MAX_CELLS).contains(cells)) {
@@ -138,17 +131,11 @@ impl CrashMapSpec {
             let seen = driven.run_scenarios(Criterion::no_contact(situation.lead_maneuver()), &scenarios);
             controller.ensure_trusted()?;
             let driver = controller.name;
-            let cells: Vec<CrashCell> = points
-                .iter()
-                .zip(seen)
-                .map(|(&[across, up], seen)| CrashCell {
-                    across,
-                    up,
-                    verdict: seen.verdict,
-                    min_gap_m: seen.min_gap_m,
-                    max_brake_mps2: seen.max_brake_mps2,
-                })
-                .collect();
+            let cell = |(&[across, up], seen): (&[f64; 2], RunResult)| {
+                let RunResult { verdict, min_gap_m, max_brake_mps2 } = seen;
+                CrashCell { across, up, verdict, min_gap_m, max_brake_mps2 }
+            };
+            let cells: Vec<CrashCell> = points.iter().zip(seen).map(cell).collect();
             let own = boundaries.iter().find(|line| is_reference && line.driver == Some(driver.as_str()));
             let unlike = |line: &Boundary| {
                 let says = |cell: &&CrashCell| situation.predicts_contact(line, [cell.across, cell.up]);
@@ -164,17 +151,8 @@ impl CrashMapSpec {
             })
         };
         let panels = references.chain(asked).map(panel).collect::<Result<_, SuiteRunError>>()?;
-        let stated = situation.stated_points();
-        Ok(CrashMap {
-            statement: DISCLAIMER,
-            situation,
-            across,
-            up,
-            estimator,
-            boundaries,
-            stated_points: stated,
-            panels,
-        })
+        let stated_points = situation.stated_points();
+        Ok(CrashMap { statement: DISCLAIMER, situation, across, up, estimator, boundaries, stated_points, panels })
     }
 }
 

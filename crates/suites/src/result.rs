@@ -12,7 +12,7 @@ use super::worst_in_tolerance::WorstInTolerance;
 use crumple_search::falsify::counterexample::Avoidability;
 
 /// Statement that goes with every result.
-pub const DISCLAIMER: &str = "After the document, on a point-mass model in one lane. This is no certification.";
+pub const DISCLAIMER: &str = "Modelled on the document, for point masses in one lane. This is no certification.";
 
 /// Result of a suite.
 #[derive(Debug, Clone, PartialEq, Serialize)]
@@ -192,14 +192,24 @@ impl TestVerdict {
         matches!(self, Self::Refused { .. })
     }
 
+    /// Returns the impact speed of the collision in m/s; 0 without a collision that fails the test.
+    #[must_use]
+    pub fn impact_speed_mps(&self) -> f64 {
+        match self {
+            Self::Failed { impact_speed_mps, .. } => *impact_speed_mps,
+            _ => 0.0,
+        }
+    }
+
     /// Returns a sort key: collisions by impact speed, then controller failures, then refusals.
     fn severity_key(&self) -> (u8, f64) {
-        match self {
-            Self::Passed => (0, 0.0),
-            Self::Refused { .. } => (1, 0.0),
-            Self::ControllerFailed { .. } => (2, 0.0),
-            Self::Failed { impact_speed_mps, .. } => (3, *impact_speed_mps),
-        }
+        let class = match self {
+            Self::Passed => 0,
+            Self::Refused { .. } => 1,
+            Self::ControllerFailed { .. } => 2,
+            Self::Failed { .. } => 3,
+        };
+        (class, self.impact_speed_mps())
     }
 
     /// Returns the worst verdict, the first of equals; `None` without verdicts.

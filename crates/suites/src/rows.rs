@@ -58,82 +58,47 @@ struct FailedPointRow {
 
 impl ControllerResultRow {
     pub(super) fn encode(tested: &ControllerResult) -> Result<Self, toml::ser::Error> {
-        let ControllerResult {
-            controller,
-            verdict,
-            points,
-            passed_points: passed,
-            min_gap_m,
-            margins,
-            worst_in_tolerance: within,
-            failed_points: failed,
-        } = tested.clone();
+        let tested = tested.clone();
+        let failed_points = tested.failed_points.into_iter().map(FailedPointRow::encode);
         Ok(Self {
-            controller,
-            verdict,
-            points,
-            passed_points: passed,
-            min_gap_m,
-            margins,
-            worst_in_tolerance: within.map(WorstInToleranceRow::encode).transpose()?,
-            failed_points: failed.into_iter().map(FailedPointRow::encode).collect::<Result<_, _>>()?,
+            controller: tested.controller,
+            verdict: tested.verdict,
+            points: tested.points,
+            passed_points: tested.passed_points,
+            min_gap_m: tested.min_gap_m,
+            margins: tested.margins,
+            worst_in_tolerance: tested.worst_in_tolerance.map(WorstInToleranceRow::encode).transpose()?,
+            failed_points: failed_points.collect::<Result<_, _>>()?,
         })
     }
 
     /// Decodes the row; an error describes an impossible value.
     pub(super) fn decode(self) -> Result<ControllerResult, String> {
-        let Self {
-            controller,
-            verdict,
-            points,
-            passed_points: passed,
-            min_gap_m,
-            margins,
-            worst_in_tolerance: within,
-            failed_points: failed,
-        } = self;
-        let within = within.map(WorstInToleranceRow::decode).transpose()?;
-        let failed = failed.into_iter().map(FailedPointRow::decode).collect::<Result<_, _>>()?;
+        let failed_points = self.failed_points.into_iter().map(FailedPointRow::decode);
         Ok(ControllerResult {
-            controller,
-            verdict,
-            points,
-            passed_points: passed,
-            min_gap_m,
-            margins,
-            worst_in_tolerance: within,
-            failed_points: failed,
+            controller: self.controller,
+            verdict: self.verdict,
+            points: self.points,
+            passed_points: self.passed_points,
+            min_gap_m: self.min_gap_m,
+            margins: self.margins,
+            worst_in_tolerance: self.worst_in_tolerance.map(WorstInToleranceRow::decode).transpose()?,
+            failed_points: failed_points.collect::<Result<_, _>>()?,
         })
     }
 }
 
 impl WorstInToleranceRow {
     fn encode(within: WorstInTolerance) -> Result<Self, toml::ser::Error> {
-        let WorstInTolerance {
-            point,
-            verdict,
-            min_gap_m,
-            points_run: tried,
-            failures,
-            unanswered,
-            failed_point: failed,
-        } = within;
-        let failed = failed.map(FailedPointRow::encode).transpose()?;
-        Ok(Self { point, verdict, min_gap_m, points_run: tried, failures, unanswered, failed_point: failed })
+        let WorstInTolerance { point, verdict, min_gap_m, points_run, failures, unanswered, failed_point } = within;
+        let failed_point = failed_point.map(FailedPointRow::encode).transpose()?;
+        Ok(Self { point, verdict, min_gap_m, points_run, failures, unanswered, failed_point })
     }
 
     fn decode(self) -> Result<WorstInTolerance, String> {
-        let Self { point, verdict, min_gap_m, points_run: tried, failures, unanswered, failed_point: failed } = self;
-        let failed = failed.map(FailedPointRow::decode).transpose()?;
-        Ok(WorstInTolerance {
-            point,
-            verdict,
-            min_gap_m,
-            points_run: tried,
-            failures,
-            unanswered,
-            failed_point: failed,
-        })
+        let Self { point, verdict, min_gap_m, points_run, failures, unanswered, failed_point } = self;
+        let failed_point = failed_point.map(FailedPointRow::decode).transpose()?;
+        Ok(WorstInTolerance { point, verdict, min_gap_m, points_run, failures, unanswered, failed_point })
     }
 }
 

@@ -202,20 +202,11 @@ impl<'t> TestGrid<'t> {
         driven: &ControllerSetup<'_>,
         known: &mut PreventabilityCache,
     ) -> Option<WorstInTolerance> {
-        let WorstPoint { point, scenario, result: seen, points_run: tried, failures, unanswered } =
+        let WorstPoint { point, scenario, result, points_run, failures, unanswered } =
             find_worst(&self.name, &self.about, self.test, self.criterion?, driven)?;
-        let (points, scenarios, all) = ([point], [scenario], [seen]);
-        let failed = self.failed_points(&points, &scenarios, &all, known).pop();
-        let ([point], [seen]) = (points, all);
-        Some(WorstInTolerance {
-            point: self.test.describe_point(&point),
-            verdict: seen.verdict,
-            min_gap_m: seen.min_gap_m,
-            points_run: tried,
-            failures,
-            unanswered,
-            failed_point: failed,
-        })
+        let (verdict, min_gap_m, words) = (result.verdict.clone(), result.min_gap_m, self.test.describe_point(&point));
+        let failed_point = self.failed_points(&[point], &[scenario], &[result], known).pop();
+        Some(WorstInTolerance { point: words, verdict, min_gap_m, points_run, failures, unanswered, failed_point })
     }
 
     fn failed_points(

@@ -173,18 +173,15 @@ pub fn run_shard(
     let mut results = read_results(&work)?;
     let known = results.rows.len() as u64;
     if known > count {
-        return Err(
-            RunFolderError::damaged(&work.path(ShardedSuite::RESULTS_FILE), "has more results than the shard").into()
-        );
+        let place = work.path(ShardedSuite::RESULTS_FILE);
+        return Err(RunFolderError::damaged(&place, "has more results than the shard").into());
     }
     run_pairs(suite, controllers, estimator, all.start + known..all.end, &mut |tested| {
-        results
-            .rows
-            .push(ControllerResultRow::encode(&tested).map_err(|error| SuiteShardError::Encoding(error.to_string()))?);
+        let row = ControllerResultRow::encode(&tested);
+        results.rows.push(row.map_err(|error| SuiteShardError::Encoding(error.to_string()))?);
         work.write(ShardedSuite::RESULTS_FILE, to_json(&results)?)?;
-        Ok::<(), SuiteShardError>(
-            observer.notify(&RunProgress { done: results.rows.len() as u64, total: Some(count) })?,
-        )
+        let done = results.rows.len() as u64;
+        Ok::<(), SuiteShardError>(observer.notify(&RunProgress { done, total: Some(count) })?)
     })?;
     work.finish()?;
     Ok(count)

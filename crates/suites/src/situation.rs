@@ -102,14 +102,14 @@ impl CrashMapSituation {
         }
     }
 
-    pub(super) fn is_in_range(self) -> bool {
-        let ([low, high], value) = match self {
-            Self::CarFollowing { time_gap_s } => (Self::TIME_GAP_RANGE_S, time_gap_s),
+    /// Returns the range, the unit and the value of the fixed parameter.
+    pub(super) fn fixed_parameter(self) -> ([f64; 2], &'static str, f64) {
+        match self {
+            Self::CarFollowing { time_gap_s } => (Self::TIME_GAP_RANGE_S, "s", time_gap_s),
             Self::CutInGap { own_speed_kmph } | Self::CutInTime { own_speed_kmph } => {
-                (Self::OWN_SPEED_RANGE_KMPH, own_speed_kmph)
+                (Self::OWN_SPEED_RANGE_KMPH, "km/h", own_speed_kmph)
             }
-        };
-        (low..=high).contains(&value)
+        }
     }
 
     /// Returns the horizontal and the vertical axis, with these numbers of cells.

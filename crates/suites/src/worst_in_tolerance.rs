@@ -155,12 +155,10 @@ impl<'t> WorstPointSearch<'t> {
         self.points_run += seen.iter().filter(|seen| !seen.verdict.is_refusal()).count();
         self.failures += seen.iter().filter(|seen| seen.verdict.is_failure()).count();
         seen.iter().for_each(|seen| FailedControllerRuns::merge(&mut self.unanswered, seen.verdict.unanswered()));
-        for (((home, point), scenario), seen) in points.into_iter().zip(scenarios).zip(seen) {
-            if self.worst.as_ref().is_none_or(|(_, worst)| severity_key(&seen) > severity_key(&worst.result)) {
-                self.worst = Some((
-                    home,
-                    WorstPoint { point, scenario, result: seen, points_run: 0, failures: 0, unanswered: None },
-                ));
+        for (((home, point), scenario), result) in points.into_iter().zip(scenarios).zip(seen) {
+            if self.worst.as_ref().is_none_or(|(_, worst)| severity_key(&result) > severity_key(&worst.result)) {
+                let worst = WorstPoint { point, scenario, result, points_run: 0, failures: 0, unanswered: None };
+                self.worst = Some((home, worst));
             }
         }
     }

@@ -47,12 +47,12 @@ impl PlanCommand {
 
     /// Checks that the folder is empty, or `--force` is given.
     pub(super) fn check_out_folder(&self) -> Result<(), CliError> {
+        if fs::metadata(&self.out).is_ok_and(|found| !found.is_dir()) {
+            return Err(CliError::Input(format!("{}: is not a folder", self.out.display())));
+        }
         let has_some = fs::read_dir(&self.out).is_ok_and(|mut entries| entries.next().is_some());
         match has_some && !self.force {
-            true => {
-                let problem = "is not empty: use --force to write a plan there, or another --out";
-                Err(CliError::Input(format!("{}: {problem}", self.out.display())))
-            }
+            true => Err(CliError::at(&self.out, "is not empty: use --force to write a plan there, or another --out")),
             false => Ok(()),
         }
     }

@@ -46,7 +46,7 @@ pub(super) struct PlanCommand {
     #[arg(long, value_name = "S", default_value = "paper", value_parser = args::parse_space)]
     space: (String, ScenarioSpace),
     /// Failure rate to stay below, above 0 and below 1
-    #[arg(long, value_name = "P", required_unless_present_any = ["runs", "budget"])]
+    #[arg(long, value_name = "P")]
     rate_below: Option<f64>,
     /// Failures among the runs that the claim tolerates: 0 to 1 000 000
     #[arg(
@@ -90,12 +90,7 @@ pub(super) struct PlanCommand {
     #[arg(long, value_name = "N", default_value_t = 0)]
     seed: u64,
     /// Estimator of the vehicles under test
-    #[arg(
-        long,
-        value_name = "ESTIMATOR",
-        default_value = "kalman",
-        value_parser = value_enums::one_of(value_enums::ESTIMATORS)
-    )]
+    #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
     /// Number of shards, 1 to 10 000 and at most the number of blocks of runs [default: of --minutes each]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=10_000))]
@@ -149,6 +144,9 @@ impl EngineName {
 
 impl PlanCommand {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+        if self.rate_below.is_none() && self.runs.is_none() && self.budget.is_none() {
+            return Err(CliError::Input("one of --rate-below, --runs and --budget is required".to_owned()));
+        }
         self.check_out_folder()?;
         let (wanted, command, measure) = match self.budget {
             Some(budget) => self.plan_search(budget, quiet)?,

@@ -73,14 +73,12 @@ impl PlanCommand {
             rate_at_most: plan.record().rate_at_most(self.failures),
             failures: self.failures,
         };
-        let most_shards = plan.max_shards();
         // Runs of resamples are not counted, but take as long.
         let (resamples, runs_each) = plan.resampling().unwrap_or_default();
-        let runs_made = runs + u64::from(resamples) * u64::from(runs_each);
         let measure = WorkEstimate {
-            runs: runs_made,
+            runs: runs + u64::from(resamples) * u64::from(runs_each),
             runs_per_second: pace,
-            max_shards: most_shards,
+            max_shards: plan.max_shards(),
             bytes_of_shards: Box::new(move |shards| plan.estimated_bytes(shards)),
         };
         Ok((wanted, self.rate_args(runs), measure))
@@ -130,23 +128,22 @@ impl PlanCommand {
             format!("--spec={}", self.spec),
         ]);
         let wanted = PlannedWork::Search { method: self.method.clone(), budget, evaluations };
-        let most_shards = campaign.max_shards();
-        let bytes = Box::new(move |shards| campaign.estimated_bytes(shards));
-        Ok((
-            wanted,
-            words,
-            WorkEstimate { runs: evaluations, runs_per_second: pace, max_shards: most_shards, bytes_of_shards: bytes },
-        ))
+        let measure = WorkEstimate {
+            runs: evaluations,
+            runs_per_second: pace,
+            max_shards: campaign.max_shards(),
+            bytes_of_shards: Box::new(move |shards| campaign.estimated_bytes(shards)),
+        };
+        Ok((wanted, words, measure))
     }
 
     fn rate_plan(&self, seed: u64, runs: u64) -> Result<RatePlan, CliError> {
-        RatePlan::new(RateConfig {
+        Ok(RatePlan::new(RateConfig {
             seed,
             estimator: self.estimator,
             confidence: self.confidence,
             ..RateConfig::new(self.controller.clone(), self.space.1.clone(), runs)
-        })
-        .map_err(CliError::input)
+        })?)
     }
 
     fn common_args(&self, command: &[&str]) -> Vec<String> {

@@ -1,62 +1,55 @@
 //! `crumple check` against forged certificates.
 
-use crumple_core::digest::sha256;
 use crumple_verify::reach::{FollowerLaw, PartitionCell};
-use crumple_verify::{Certificate, Interval, Registration, Statement};
-use crumple_world::control::ControllerSpec;
+use crumple_verify::{Certificate, Interval, RateClaim, Registration, Statement};
 use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, RampBrake, built_in_scenario, file};
-use serde_json::{Value, json};
-use std::path::Path;
 
-use super::{exit_code, json_objects, run_crumple, run_ok, stderr, stdout, temp_folder};
+use super::*;
 
 fn read_certificate(folder: &Path, name: &str) -> Certificate {
-    Certificate::from_json(&std::fs::read_to_string(folder.join(name)).unwrap()).unwrap()
+    Certificate::from_json(&fs::read_to_string(folder.join(name)).unwrap()).unwrap()
 }
 
 fn write_certificate(folder: &Path, name: &str, certificate: &Certificate) {
-    std::fs::write(folder.join(name), certificate.to_canonical_json()).unwrap();
+    fs::write(folder.join(name), certificate.to_canonical_json()).unwrap();
 }
 
 /// Counts 300 runs of idm without failures, in `DIR/certificate.json`.
-fn write_idm_count(folder: &Path, out: &str, more: &[&str]) {
-    let arguments = ["verify", "rate", "--controller", "idm", "--estimator", "truth", "--runs", "300", "--out", out];
-    run_ok(folder, &[&arguments[..], &["--confidence", "0.99"], more].concat());
+fn write_idm_count(folder: &Path, out: &str, more: &str) {
+    let arguments = format!("verify rate --controller idm --estimator truth --runs 300 --out {out}");
+    run_ok(folder, &format!("{arguments} --confidence 0.99 {more}"));
+}
+
+/// Claims the counted failure rate of idm for the baseline, with further changes.
+fn forge_rate(folder: &Path, change: impl FnOnce(&mut RateClaim)) -> Certificate {
+    let mut forged = read_certificate(folder, "idm/certificate.json");
+    let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
+    let identity = ControllerSpec::from_name("baseline").unwrap().identity();
+    rate.registration.configuration.insert("controller".to_owned(), "baseline".to_owned());
+    rate.registration.configuration.insert("controller_sha256".to_owned(), identity);
+    change(rate);
+    rate.registration_sha256 = rate.registration.digest();
+    forged
 }
 
 #[test]
 fn counts_are_the_makers_word_until_they_are_counted_again() {
     let folder = temp_folder();
-    write_idm_count(folder.path(), "idm", &[]);
-    let check = |arguments: &[&str]| run_crumple(folder.path(), &[&["check"], arguments].concat());
-    let message = check(&["idm/certificate.json"]);
+    write_idm_count(folder.path(), "idm", "");
+    let check = |arguments: &str| run_crumple(folder.path(), &format!("check {arguments}"));
+    let message = check("idm/certificate.json");
     assert!(stdout(&message).contains("if its counts are right"), "{}", stdout(&message));
-    assert!(stdout(&message).contains("the counts are the maker's word"), "{}", stdout(&message));
-    let message = check(&["idm/certificate.json", "--rerun"]);
-    assert_eq!(exit_code(&message), 0);
-    assert!(
-        stdout(&message).contains("confirmed: all 300 runs were drawn and simulated again"),
-        "{}",
-        stdout(&message)
-    );
-    assert!(!stdout(&message).contains("maker's word"));
+    assert!(stdout(&message).contains("the counts are not verified"), "{}", stdout(&message));
+    let message = check("idm/certificate.json --rerun");
+    assert_prints(&message, 0, &["confirmed: all 300 runs were drawn and simulated again"]);
+    assert!(!stdout(&message).contains("not verified"));
 
     // Claims idm's failure rate for the baseline, which nearly always fails: an intact file with a false claim.
-    let mut forged = read_certificate(folder.path(), "idm/certificate.json");
-    let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
-    let identity = ControllerSpec::from_name("baseline").unwrap().identity();
-    rate.registration.configuration.insert("controller".to_owned(), "baseline".to_owned());
-    rate.registration.configuration.insert("controller_sha256".to_owned(), identity);
-    rate.registration_sha256 = rate.registration.digest();
+    let forged = forge_rate(folder.path(), |_| {});
     write_certificate(folder.path(), "forged.json", &forged);
-    let message = check(&["forged.json"]);
-    assert!(
-        exit_code(&message) == 0 && stdout(&message).contains("the counts are the maker's word"),
-        "{}",
-        stdout(&message)
-    );
+    assert_prints(&check("forged.json"), 0, &["the counts are not verified"]);
     for rerun in ["--rerun", "--rerun=1"] {
-        let message = check(&["forged.json", rerun]);
+        let message = check(&format!("forged.json {rerun}"));
         assert_eq!(exit_code(&message), 1, "{rerun}");
         assert!(stdout(&message).contains("refuted by a new count: blocks["), "{}", stdout(&message));
         assert!(
@@ -70,7 +63,7 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
     let Statement::Rate(rate) = &mut hashes.statement else { panic!("a rate") };
     rate.blocks[1].1 = sha256("another run");
     write_certificate(folder.path(), "hashes.json", &hashes);
-    let message = check(&["hashes.json", "--rerun", "--format", "json"]);
+    let message = check("hashes.json --rerun --format json");
     let report = &json_objects(&message)[0];
     assert_eq!((exit_code(&message), &report["accepted"], &report["counts"]), (1, &false.into(), &"refuted".into()));
     assert!(report["rejection"].as_str().unwrap().contains("runs 100 to 199"), "{report}");
@@ -80,24 +73,14 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
 #[test]
 fn a_bound_of_0_0002_for_the_baseline_is_the_makers_word_and_refuted_by_a_hundredth_of_its_runs() {
     let folder = temp_folder();
-    write_idm_count(folder.path(), "idm", &[]);
-    let mut forged = read_certificate(folder.path(), "idm/certificate.json");
-    let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
-    let identity = ControllerSpec::from_name("baseline").unwrap().identity();
-    rate.registration.configuration.insert("controller".to_owned(), "baseline".to_owned());
-    rate.registration.configuration.insert("controller_sha256".to_owned(), identity);
-    (rate.registration.runs, rate.registration.confidence, rate.rate_at_most) = (69_100, 0.999_999, 0.000_2);
-    rate.registration_sha256 = rate.registration.digest();
-    rate.blocks = (0..691).map(|block| (0, sha256(block.to_string()))).collect();
+    write_idm_count(folder.path(), "idm", "");
+    let mut forged = forge_rate(folder.path(), |rate| {
+        (rate.registration.runs, rate.registration.confidence, rate.rate_at_most) = (69_100, 0.999_999, 0.000_2);
+        rate.blocks = (0..691).map(|block| (0, sha256(block.to_string()))).collect();
+    });
     write_certificate(folder.path(), "forged.json", &forged);
-    let message = run_crumple(folder.path(), &["check", "forged.json"]);
-    assert!(
-        exit_code(&message) == 0 && stdout(&message).contains("the counts are the maker's word"),
-        "{}",
-        stdout(&message)
-    );
-    let message = run_crumple(folder.path(), &["check", "forged.json", "--rerun=1"]);
-    assert!(exit_code(&message) == 1 && stdout(&message).contains("refuted by a new count: "), "{}", stdout(&message));
+    assert_prints(&run_crumple(folder.path(), "check forged.json"), 0, &["the counts are not verified"]);
+    assert_prints(&run_crumple(folder.path(), "check forged.json --rerun=1"), 1, &["refuted by a new count: "]);
     // A certificate of version 0.1.0 has no blocks to count again.
     let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
     (rate.registration.block_runs, rate.blocks) = (None, Vec::new());
@@ -105,11 +88,11 @@ fn a_bound_of_0_0002_for_the_baseline_is_the_makers_word_and_refuted_by_a_hundre
     forged.version = 1;
     (forged.provenance.scenario_text, forged.provenance.scenario_sha256) = (None, String::new());
     write_certificate(folder.path(), "old.json", &forged);
-    let message = run_crumple(folder.path(), &["check", "old.json"]);
-    for words in ["the counts are the maker's word", "version 1, an old one"] {
+    let message = run_crumple(folder.path(), "check old.json");
+    for words in ["the counts are not verified", "version 1, an old one"] {
         assert!(exit_code(&message) == 0 && stdout(&message).contains(words), "{words}: {}", stdout(&message));
     }
-    let message = run_crumple(folder.path(), &["check", "old.json", "--rerun"]);
+    let message = run_crumple(folder.path(), "check old.json --rerun");
     assert!(
         exit_code(&message) == 2 && !stdout(&message).contains("confirmed"),
         "{} {}",
@@ -139,13 +122,10 @@ fn a_short_claim_reads_short_and_states_an_absent_follower() {
         });
         paper.unwrap()
     };
-    std::fs::write(folder.path().join("short.toml"), file::to_toml(&short(4.0)).unwrap()).unwrap();
-    assert_eq!(exit_code(&run_crumple(folder.path(), &["avoid", "short.toml", "--certificate", "short.json"])), 0);
-    let message = run_crumple(folder.path(), &["check", "short.json"]);
-    assert_eq!(exit_code(&message), 0, "{}", stdout(&message));
-    for words in [" m for 4 s; ", "for 4 s from the start\n", "behind: no vehicle\n"] {
-        assert!(stdout(&message).contains(words), "{words}: {}", stdout(&message));
-    }
+    fs::write(folder.path().join("short.toml"), file::to_toml(&short(4.0)).unwrap()).unwrap();
+    run_ok(folder.path(), "avoid short.toml --certificate short.json");
+    let message = run_crumple(folder.path(), "check short.json");
+    assert_prints(&message, 0, &[" m for 4 s; ", "for 4 s from the start\n", "behind: no vehicle\n"]);
 
     let mut reach = read_certificate(Path::new(env!("CARGO_MANIFEST_DIR")), "corpora/certificates/reach-paper-1.json");
     let Statement::Reach(claim) = &mut reach.statement else { panic!("reach") };
@@ -166,8 +146,7 @@ fn a_short_claim_reads_short_and_states_an_absent_follower() {
     for (name, about) in
         [("bound.json", "it is NOT the built-in scenario or space"), ("old.json", "binds a statement to nothing")]
     {
-        let message = run_crumple(folder.path(), &["check", name]);
-        assert_eq!(exit_code(&message), 0, "{}", stdout(&message));
+        let message = run_ok(folder.path(), &format!("check {name}"));
         for words in [
             "in 100.00 % of the box's volume",
             " m for 0.1 s, with no vehicle behind",
@@ -183,32 +162,32 @@ fn a_short_claim_reads_short_and_states_an_absent_follower() {
 #[test]
 fn a_sample_is_chosen_afterwards_and_states_its_power() {
     let folder = temp_folder();
-    write_idm_count(folder.path(), "idm", &[]);
-    let sampled =
-        |more: &[&str]| run_ok(folder.path(), &[&["check", "idm/certificate.json", "--rerun=50"], more].concat());
-    let report = &json_objects(&sampled(&["--rerun-seed", "7", "--format", "json"]))[0];
+    write_idm_count(folder.path(), "idm", "");
+    let sampled = |more: &str| run_ok(folder.path(), &format!("check idm/certificate.json --rerun=50 {more}"));
+    let report = &json_objects(&sampled("--rerun-seed 7 --format json"))[0];
     assert_eq!(report["counts"], "confirmed_by_sample");
     let rerun = &report["rerun"];
     let numbers = ["runs", "of_runs", "blocks", "of_blocks", "seed"].map(|field| rerun[field].as_u64().unwrap());
     assert_eq!(numbers, [200, 300, 2, 3, 7]);
     // One of three blocks has a forged run, and two blocks were counted again.
     assert!((rerun["catches"][0][1].as_f64().unwrap() - 2.0 / 3.0).abs() < 1e-9, "{report}");
-    let text = sampled(&[]);
-    for words in ["2 of 3 blocks, 200 of 300 runs (66.66 %)", "after the file was fixed", "1 forged run: 66.66 %"] {
-        assert!(stdout(&text).contains(words), "{words}: {}", stdout(&text));
-    }
-    assert_eq!(exit_code(&run_crumple(folder.path(), &["check", "idm/certificate.json", "--rerun=0"])), 2);
+    let text = sampled("");
+    assert_contains(
+        stdout(&text),
+        &["2 of 3 blocks, 200 of 300 runs (66.66 %)", "after the file was fixed", "1 forged run: 66.66 %"],
+    );
+    assert_eq!(exit_code(&run_crumple(folder.path(), "check idm/certificate.json --rerun=0")), 2);
 }
 
 #[test]
 fn several_bounds_hold_jointly() {
     let folder = temp_folder();
-    write_idm_count(folder.path(), "one", &[]);
-    write_idm_count(folder.path(), "two", &["--seed", "8"]);
-    let arguments = ["check", "one/certificate.json", "two/certificate.json"];
-    let both = run_crumple(folder.path(), &arguments);
+    write_idm_count(folder.path(), "one", "");
+    write_idm_count(folder.path(), "two", "--seed 8");
+    let arguments = "check one/certificate.json two/certificate.json";
+    let both = run_crumple(folder.path(), arguments);
     assert!(stdout(&both).contains("together: all 2 bounds hold at confidence 98 %"), "{}", stdout(&both));
-    let reports = json_objects(&run_crumple(folder.path(), &[&arguments[..], &["--format", "json"]].concat()));
+    let reports = json_objects(&run_crumple(folder.path(), &format!("{arguments} --format json")));
     assert!(reports.iter().all(|one| (one["joint_confidence"].as_f64().unwrap() - 0.98).abs() < 1e-9), "{reports:?}");
     let alone = run_crumple(folder.path(), &arguments[..2]);
     assert!(!stdout(&alone).contains("together"));
@@ -218,21 +197,17 @@ fn several_bounds_hold_jointly() {
 fn a_genuine_statement_cannot_carry_another_scenario() {
     let folder = temp_folder();
     for name in ["paper-1", "paper-2"] {
-        assert_eq!(
-            exit_code(&run_crumple(folder.path(), &["avoid", name, "--certificate", &format!("{name}.json")])),
-            0
-        );
+        run_ok(folder.path(), &format!("avoid {name} --certificate {name}.json"));
     }
-    let message = run_crumple(folder.path(), &["check", "paper-1.json"]);
-    for words in [
+    let message = run_crumple(folder.path(), "check paper-1.json");
+    let passages = [
         "no gap is ever smaller than",
         " m for 15 s; and a collision remains avoidable afterwards, ",
         "for 15 s from the start\n",
         "behind: front bumper",
         "it is the built-in scenario or space of that name",
-    ] {
-        assert!(stdout(&message).contains(words), "{words}: {}", stdout(&message));
-    }
+    ];
+    assert_contains(stdout(&message), &passages);
     let [one, two] = ["paper-1.json", "paper-2.json"].map(|name| read_certificate(folder.path(), name));
     let swapped = Certificate { provenance: one.provenance.clone(), ..two.clone() };
     let mut renamed = two.clone();
@@ -244,7 +219,7 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
     empty.provenance.scenario_sha256 = String::new();
     for (name, forged) in [("swapped", swapped), ("renamed", renamed), ("old", old), ("empty", empty)] {
         write_certificate(folder.path(), "forged.json", &forged);
-        let message = run_crumple(folder.path(), &["check", "forged.json"]);
+        let message = run_crumple(folder.path(), "check forged.json");
         assert_eq!(exit_code(&message), 1, "{name}: {}", stdout(&message));
     }
     // A genuine certificate of version 1 is accepted, with a note about its age.
@@ -252,13 +227,12 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
     old.version = 1;
     (old.provenance.scenario_text, old.provenance.box_text) = (None, None);
     write_certificate(folder.path(), "old.json", &old);
-    let message = run_crumple(folder.path(), &["check", "old.json", "--scenario", "paper-1"]);
-    assert!(exit_code(&message) == 0 && stdout(&message).contains("version 1, an old one"), "{}", stdout(&message));
+    assert_prints(&run_crumple(folder.path(), "check old.json --scenario paper-1"), 0, &["version 1, an old one"]);
     // The output warns of another scenario under a built-in name.
     let edited = built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].position_m += 1.0).unwrap();
-    std::fs::write(folder.path().join("mine.toml"), file::to_toml(&edited).unwrap()).unwrap();
-    assert_eq!(exit_code(&run_crumple(folder.path(), &["avoid", "mine.toml", "--certificate", "mine.json"])), 0);
-    let message = run_crumple(folder.path(), &["check", "mine.json"]);
+    fs::write(folder.path().join("mine.toml"), file::to_toml(&edited).unwrap()).unwrap();
+    run_ok(folder.path(), "avoid mine.toml --certificate mine.json");
+    let message = run_crumple(folder.path(), "check mine.json");
     assert!(stdout(&message).contains("it is NOT the built-in scenario or space of that name"), "{}", stdout(&message));
 }
 
@@ -266,19 +240,17 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
 fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
     let folder = temp_folder();
     let file = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/certificates/reach-paper-1.json");
-    let message = run_crumple(folder.path(), &["check", file, "--scenario", "paper-1"]);
-    assert_eq!(exit_code(&message), 0, "{}", stdout(&message));
-    for words in [
+    let message = run_crumple(folder.path(), &format!("check '{file}' --scenario paper-1"));
+    let passages = [
         "is about paper-1",
         "with a vehicle behind",
         " m for 15 s",
         "leader: 15.3 to 16.7 m ahead",
         "of the box's volume",
-    ] {
-        assert!(stdout(&message).contains(words), "{words}: {}", stdout(&message));
-    }
-    let other = run_crumple(folder.path(), &["check", file, "--scenario", "paper-2"]);
-    assert!(exit_code(&other) == 1 && stdout(&other).contains("is NOT about paper-2"), "{}", stdout(&other));
+    ];
+    assert_prints(&message, 0, &passages);
+    let other = run_crumple(folder.path(), &format!("check '{file}' --scenario paper-2"));
+    assert_prints(&other, 1, &["is NOT about paper-2"]);
     // A shorter claim, one without a follower, or one of another box no longer matches the box text.
     let genuine = read_certificate(Path::new(""), file);
     let with = |change: &dyn Fn(&mut crumple_verify::ReachClaim)| {
@@ -287,7 +259,7 @@ fn a_reach_certificate_is_about_the_scenarios_in_its_box() {
         change(claim);
         forged.assumptions = forged.statement.assumptions();
         write_certificate(folder.path(), "forged.json", &forged);
-        let message = run_crumple(folder.path(), &["check", "forged.json"]);
+        let message = run_crumple(folder.path(), "check forged.json");
         (exit_code(&message), stdout(&message).to_owned())
     };
     let other = crumple_verify::Interval::new(15.4, 16.7).unwrap();
@@ -310,23 +282,21 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
     let gap = "gap_ahead_m = { low = 15.9, high = 16.1 }";
     let made = |limit: &str, name: &str, depth: &str| {
         let text = of_box(&format!("leader_brakes_at_most_mps2 = {limit}"), gap);
-        std::fs::write(folder.path().join("box.toml"), text).unwrap();
-        run_crumple(folder.path(), &["verify", "reach", "--box", "box.toml", "--depth", depth, "--certificate", name])
+        fs::write(folder.path().join("box.toml"), text).unwrap();
+        run_crumple(folder.path(), &format!("verify reach --box box.toml --depth {depth} --certificate {name}"))
     };
     let message = made("0.03", "led.json", "4");
     assert_eq!(exit_code(&message), 0, "{}", stderr(&message));
-    let checked = run_crumple(folder.path(), &["check", "led.json"]);
-    assert_eq!(exit_code(&checked), 0, "{}", stdout(&checked));
-    for words in [
+    let checked = run_crumple(folder.path(), "check led.json");
+    let passages = [
         "however the leader brakes at up to 0.03 m/s²",
         "never speeds up, and brakes as it likes: over each step at another rate from 0 to 0.03 m/s²",
         "the vehicle ahead never brakes harder than stated",
-    ] {
-        assert!(stdout(&checked).contains(words), "{words}: {}", stdout(&checked));
-    }
+    ];
+    assert_prints(&checked, 0, &passages);
     assert!(!stdout(&checked).contains("the leader moves as scripted"), "{}", stdout(&checked));
-    let about = run_crumple(folder.path(), &["check", "led.json", "--scenario", "paper-1"]);
-    assert!(exit_code(&about) == 1 && stdout(&about).contains("is NOT about paper-1"), "{}", stdout(&about));
+    let about = run_crumple(folder.path(), "check led.json --scenario paper-1");
+    assert_prints(&about, 1, &["is NOT about paper-1"]);
 
     // A smaller limit would follow, but does not match the box text.
     let genuine = read_certificate(folder.path(), "led.json");
@@ -337,32 +307,25 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         claim.min_gap_m_at_least = 0.0;
         forged.assumptions = forged.statement.assumptions();
         write_certificate(folder.path(), "forged.json", &forged);
-        let message = run_crumple(folder.path(), &["check", "forged.json"]);
-        assert!(
-            exit_code(&message) == 1 && stdout(&message).contains("does not match the scenario or box"),
-            "{}",
-            stdout(&message)
-        );
+        assert_prints(&run_crumple(folder.path(), "check forged.json"), 1, &["does not match the scenario or box"]);
     }
     let mut forged = genuine;
     forged.assumptions.retain(|assumption| *assumption != crumple_verify::Assumption::LeaderWithinLimit);
     write_certificate(folder.path(), "forged.json", &forged);
-    let message = run_crumple(folder.path(), &["check", "forged.json"]);
-    assert!(exit_code(&message) == 1 && stdout(&message).contains("`assumptions` must be"), "{}", stdout(&message));
+    assert_prints(&run_crumple(folder.path(), "check forged.json"), 1, &["`assumptions` must be"]);
 
     // Falsified for a leader that brakes as hard as possible, with an initial state and a profile; also about paper-1.
     let refuted = made("7.5", "refuted.json", "1");
-    assert_eq!(exit_code(&refuted), 1, "{}", stdout(&refuted));
-    assert!(stdout(&refuted).contains("falsified"), "{}", stdout(&refuted));
-    let about = run_crumple(folder.path(), &["check", "refuted.json", "--scenario", "paper-1"]);
+    assert_prints(&refuted, 1, &["falsified"]);
+    let about = run_crumple(folder.path(), "check refuted.json --scenario paper-1");
     assert!(stdout(&about).contains("is about paper-1"), "{}", stdout(&about));
 
     // The claim covers every script within the limit; for any other script the output states the reason.
     made("3.0", "three.json", "1");
     let with_leader = |driver: Driver| {
         let paper = built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].driver = driver).unwrap();
-        std::fs::write(folder.path().join("scripted.toml"), file::to_toml(&paper).unwrap()).unwrap();
-        let message = run_crumple(folder.path(), &["check", "three.json", "--scenario", "scripted.toml"]);
+        fs::write(folder.path().join("scripted.toml"), file::to_toml(&paper).unwrap()).unwrap();
+        let message = run_crumple(folder.path(), "check three.json --scenario scripted.toml");
         (exit_code(&message), stdout(&message).to_owned())
     };
     let pieces = |accel_mps2: [f64; 3]| {
@@ -403,8 +366,8 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         ),
         ("leader_brakes_at_most_mps2 = \"1\"", gap, 3, "leader_brakes_at_most_mps2"),
     ] {
-        std::fs::write(folder.path().join("bad.toml"), of_box(field, ranges)).unwrap();
-        let message = run_crumple(folder.path(), &["verify", "reach", "--box", "bad.toml"]);
+        fs::write(folder.path().join("bad.toml"), of_box(field, ranges)).unwrap();
+        let message = run_crumple(folder.path(), "verify reach --box bad.toml");
         let place = format!("bad.toml:{line}");
         let error = stderr(&message);
         assert!(exit_code(&message) == 2 && error.contains(&place) && error.contains(problem), "{field}: {error}");
@@ -421,30 +384,27 @@ fn a_modelled_follower_is_in_the_box_the_scope_and_the_assumptions() {
         )
     };
     let made = |field: &str, name: &str| {
-        std::fs::write(folder.path().join("box.toml"), of_box(field)).unwrap();
-        run_crumple(folder.path(), &["verify", "reach", "--box", "box.toml", "--depth", "3", "--certificate", name])
+        fs::write(folder.path().join("box.toml"), of_box(field)).unwrap();
+        run_crumple(folder.path(), &format!("verify reach --box box.toml --depth 3 --certificate {name}"))
     };
     let message = made("follower_drives = \"idm\"", "idm.json");
     assert_eq!(exit_code(&message), 0, "{}", stderr(&message));
-    let checked = run_crumple(folder.path(), &["check", "idm.json"]);
-    assert_eq!(exit_code(&checked), 0, "{}", stdout(&checked));
-    for words in [
+    let checked = run_crumple(folder.path(), "check idm.json");
+    let passages = [
         "drives idm towards 33.333333333333336 m/s with a time headway of 1.6 s",
-        "the follower does at once, at each step, what the stated law asks for",
-    ] {
-        assert!(stdout(&checked).contains(words), "{words}: {}", stdout(&checked));
-    }
+        "the follower applies the stated controller's command at each step, without delay",
+    ];
+    assert_prints(&checked, 0, &passages);
     assert!(!stdout(&checked).contains("latched"), "{}", stdout(&checked));
     // paper-1 has another follower.
-    let about = run_crumple(folder.path(), &["check", "idm.json", "--scenario", "paper-1"]);
-    assert!(exit_code(&about) == 1 && stdout(&about).contains("is NOT about paper-1"), "{}", stdout(&about));
+    assert_prints(&run_crumple(folder.path(), "check idm.json --scenario paper-1"), 1, &["is NOT about paper-1"]);
     // The edited scenario has that follower.
     let followed = built_in_scenario("paper-1").unwrap().edited(|spec| {
         spec.vehicles[2].driver = Driver::Controller(ControllerSpec::from_name("idm").unwrap());
     });
     let followed = followed.unwrap();
-    std::fs::write(folder.path().join("idm.toml"), file::to_toml(&followed).unwrap()).unwrap();
-    let about = run_crumple(folder.path(), &["check", "idm.json", "--scenario", "idm.toml"]);
+    fs::write(folder.path().join("idm.toml"), file::to_toml(&followed).unwrap()).unwrap();
+    let about = run_crumple(folder.path(), "check idm.json --scenario idm.toml");
     assert!(stdout(&about).contains("is about idm.toml"), "{}", stdout(&about));
 
     let genuine = read_certificate(folder.path(), "idm.json");
@@ -455,7 +415,7 @@ fn a_modelled_follower_is_in_the_box_the_scope_and_the_assumptions() {
         idm.time_headway_s = headway_s;
         claim.min_gap_m_at_least = 0.0;
         write_certificate(folder.path(), "forged.json", &forged);
-        let message = run_crumple(folder.path(), &["check", "forged.json"]);
+        let message = run_crumple(folder.path(), "check forged.json");
         let differs = stdout(&message).contains("does not match the scenario or box");
         assert!(exit_code(&message) == 1 && differs, "{}", stdout(&message));
     }
@@ -465,8 +425,8 @@ fn a_modelled_follower_is_in_the_box_the_scope_and_the_assumptions() {
         ("follower_drives = \"nobody\"", "nobody"),
         ("follower_drives = { idm = { time_headway_s = -1.0 } }", "follower_drives"),
     ] {
-        std::fs::write(folder.path().join("bad.toml"), of_box(field)).unwrap();
-        let message = run_crumple(folder.path(), &["verify", "reach", "--box", "bad.toml"]);
+        fs::write(folder.path().join("bad.toml"), of_box(field)).unwrap();
+        let message = run_crumple(folder.path(), "verify reach --box bad.toml");
         let error = stderr(&message);
         assert!(
             exit_code(&message) == 2 && error.contains("bad.toml:3") && error.contains(problem),
@@ -479,21 +439,19 @@ fn a_modelled_follower_is_in_the_box_the_scope_and_the_assumptions() {
 fn each_certificate_has_its_own_verdict() {
     let folder = temp_folder();
     let good = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/certificates/reach-paper-1.json");
-    std::fs::write(folder.path().join("cut.json"), "{").unwrap();
-    let message = run_crumple(folder.path(), &["check", "cut.json", good, "nowhere.json"]);
-    assert_eq!(exit_code(&message), 2);
-    assert!(stdout(&message).contains("reach-paper-1.json: accepted: reach"), "{}", stdout(&message));
+    fs::write(folder.path().join("cut.json"), "{").unwrap();
+    let message = run_crumple(folder.path(), &format!("check cut.json '{good}' nowhere.json"));
+    assert_prints(&message, 2, &["reach-paper-1.json: accepted: reach"]);
     assert!(stderr(&message).contains("cut.json: is not a certificate"), "{}", stderr(&message));
     assert!(stderr(&message).contains("nowhere.json: "), "{}", stderr(&message));
-    let message = run_crumple(folder.path(), &["check", "cut.json", good, "--format", "json"]);
-    let verdicts = super::json_objects(&message);
+    let message = run_crumple(folder.path(), &format!("check cut.json '{good}' --format json"));
+    let verdicts = json_objects(&message);
     assert_eq!((exit_code(&message), verdicts.len()), (2, 2));
     assert_eq!((&verdicts[0]["accepted"], &verdicts[1]["accepted"]), (&json!(true), &json!(false)));
     assert!(verdicts[1]["error"].as_str().unwrap().starts_with("cut.json: is not a certificate"), "{}", verdicts[1]);
     // Verdicts come before errors.
-    let message = run_crumple(folder.path(), &["check", "cut.json", good, "--scenario", "paper-2"]);
-    assert_eq!(exit_code(&message), 1);
-    assert!(stdout(&message).contains("reach-paper-1.json: is NOT about paper-2: "), "{}", stdout(&message));
+    let message = run_crumple(folder.path(), &format!("check cut.json '{good}' --scenario paper-2"));
+    assert_prints(&message, 1, &["reach-paper-1.json: is NOT about paper-2: "]);
     assert!(!stdout(&message).contains(".json: accepted"), "{}", stdout(&message));
     let gate = stderr(&message).lines().last().unwrap();
     assert!(gate.starts_with("gate: not about the scenario of --scenario: "), "{gate}");
@@ -504,19 +462,15 @@ fn noise_that_is_not_assumed_is_noticed() {
     let folder = temp_folder();
     let noisy =
         built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.05).unwrap();
-    std::fs::write(folder.path().join("noisy.toml"), file::to_toml(&noisy).unwrap()).unwrap();
-    assert_eq!(exit_code(&run_crumple(folder.path(), &["avoid", "noisy.toml", "--certificate", "noisy.json"])), 0);
-    let check = |name: &str| exit_code(&run_crumple(folder.path(), &["check", name, "--scenario", "noisy.toml"]));
+    fs::write(folder.path().join("noisy.toml"), file::to_toml(&noisy).unwrap()).unwrap();
+    run_ok(folder.path(), "avoid noisy.toml --certificate noisy.json");
+    let check = |name: &str| exit_code(&run_crumple(folder.path(), &format!("check {name} --scenario noisy.toml")));
     assert_eq!(check("noisy.json"), 0);
     let mut silent = read_certificate(folder.path(), "noisy.json");
     assert_eq!(silent.assumptions.pop(), Some(crumple_verify::Assumption::NoiseOfSeed));
     write_certificate(folder.path(), "silent.json", &silent);
     assert_eq!(check("silent.json"), 1);
-    assert_eq!(
-        exit_code(&run_crumple(folder.path(), &["check", "silent.json"])),
-        1,
-        "its own text says that there is noise"
-    );
+    assert_eq!(exit_code(&run_crumple(folder.path(), "check silent.json")), 1, "its own text says that there is noise");
     silent.version = 1;
     (silent.provenance.scenario_text, silent.provenance.scenario_sha256) = (None, String::new());
     write_certificate(folder.path(), "old.json", &silent);
@@ -526,19 +480,19 @@ fn noise_that_is_not_assumed_is_noticed() {
 #[test]
 fn a_key_that_occurs_twice_is_no_certificate() {
     let folder = temp_folder();
-    write_idm_count(folder.path(), "idm", &[]);
-    let text = std::fs::read_to_string(folder.path().join("idm/certificate.json")).unwrap();
+    write_idm_count(folder.path(), "idm", "");
+    let text = fs::read_to_string(folder.path().join("idm/certificate.json")).unwrap();
     for (name, from) in [("controller", "\"controller\":"), ("version", "\"version\":"), ("failures", "\"failures\":")]
     {
         let doubled = text.replacen(from, &format!("{from} \"policy\", {from}"), 1);
         assert_ne!(doubled, text);
-        std::fs::write(folder.path().join("twice.json"), doubled).unwrap();
-        let message = run_crumple(folder.path(), &["check", "twice.json"]);
+        fs::write(folder.path().join("twice.json"), doubled).unwrap();
+        let message = run_crumple(folder.path(), "check twice.json");
         assert_eq!(exit_code(&message), 2, "{name}");
         assert!(stderr(&message).contains("twice.json: is not a certificate: "), "{}", stderr(&message));
     }
     // Duplicate keys in a registration would let two contents share a digest.
-    let registration = std::fs::read_to_string(folder.path().join("idm/registration.json")).unwrap();
+    let registration = fs::read_to_string(folder.path().join("idm/registration.json")).unwrap();
     let doubled = registration.replacen("\"controller\":", "\"controller\": \"policy\", \"controller\":", 1);
     assert!(serde_json::from_str::<Registration>(&doubled).unwrap_err().to_string().contains("duplicate key"));
     assert_eq!(registration.parse::<Value>().unwrap()["block_runs"], json!(100));

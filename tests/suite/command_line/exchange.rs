@@ -1,11 +1,8 @@
 //! `crumple export` and `crumple import --map` on the command line.
 
-use std::fs;
-use std::path::Path;
-
 use crumple_world::recording::map::{RecordingMap, json_schema};
 
-use super::{assert_refused, exit_code, file_names_in, run_crumple, run_ok, stderr, stdout, temp_folder};
+use super::*;
 use crate::schema::{assert_committed, validate};
 
 #[test]
@@ -38,7 +35,7 @@ fn own_recordings_are_read_by_a_map_shown_and_turned_into_scenarios() {
     let map = map.to_str().unwrap();
     fs::write(folder.path().join("hard.csv"), logged_pair_csv(3.0)).unwrap();
     fs::write(folder.path().join("soft.csv"), logged_pair_csv(1.0)).unwrap();
-    let shown = run_crumple(folder.path(), &["import", "hard.csv", "--map", map, "--preview", "hard.svg"]);
+    let shown = run_crumple(folder.path(), &format!("import hard.csv --map '{map}' --preview hard.svg"));
     let message = "hard.csv: logged-pair\n  1 vehicles that may lead, 150 samples, from 0.00 to 14.90 s, one each \
         0.100 s\n  \
                 speed 11.00 to 20.00 m/s, median 12.80\n  bumper gap 30.00 to 30.00 m, median 30.00\n  \
@@ -46,23 +43,23 @@ fn own_recordings_are_read_by_a_map_shown_and_turned_into_scenarios() {
     assert!(stdout(&shown).starts_with(message), "{shown:?}");
     assert!(fs::read_to_string(folder.path().join("hard.svg")).unwrap().contains("Bumper gap to the vehicle behind"));
     assert_eq!(file_names_in(folder.path()), ["hard.csv", "hard.svg", "soft.csv"], "no scenario is written");
-    let over = ["import", "soft.csv", "--map", map, "--preview", "hard.svg"];
+    let over = format!("import soft.csv --map '{map}' --preview hard.svg");
     assert_refused(&run_crumple(folder.path(), &over), "hard.svg: exists with other contents: use --force");
-    assert_eq!(exit_code(&run_crumple(folder.path(), &[&over[..], &["--force"]].concat())), 0);
-    assert_refused(&run_crumple(folder.path(), &[&over[..], &["--out", "x"]].concat()), "cannot be used with");
+    run_ok(folder.path(), &format!("{over} --force"));
+    assert_refused(&run_crumple(folder.path(), &format!("{over} --out x")), "cannot be used with");
     let slow: String = logged_pair_csv(3.0).lines().step_by(10).map(|line| format!("{line}\n")).collect();
     let slow = slow.replacen("t;v_ego;range;closing\n", "t;v_ego;range;closing\n0;72;34.6;0\n", 1);
     fs::write(folder.path().join("slow.csv"), slow).unwrap();
-    let shown = run_crumple(folder.path(), &["import", "slow.csv", "--map", map, "--preview", "slow.svg"]);
+    let shown = run_crumple(folder.path(), &format!("import slow.csv --map '{map}' --preview slow.svg"));
     let message = [
         "one each 1.000 s",
         "the speeds of a vehicle are 1.000 s apart, more than the limit of 0.5 s: crumple cannot find braking",
     ];
     assert!(message.iter().all(|message| stdout(&shown).contains(message)), "{shown:?}");
-    let imported = run_crumple(folder.path(), &["import", "hard.csv", "soft.csv", "--map", map, "--out", "episodes"]);
+    let imported = run_crumple(folder.path(), &format!("import hard.csv soft.csv --map '{map}' --out episodes"));
     assert_eq!(stdout(&imported), "hard.csv: 1 scenario (logged-pair)\nsoft.csv: 0 scenarios (logged-pair)\n");
     assert_eq!(file_names_in(&folder.path().join("episodes")), ["logged-pair-hard-01.toml"]);
-    let nothing = run_crumple(folder.path(), &["import", "soft.csv", "--map", map, "--out", "none"]);
+    let nothing = run_crumple(folder.path(), &format!("import soft.csv --map '{map}' --out none"));
     assert_eq!(exit_code(&nothing), 1);
     let message =
         "gate: no braking episode of at least 1.3 m/s² gives a scenario; soft.csv: the hardest braking is 1.00 m/s";
@@ -92,22 +89,18 @@ fn damaged_maps_and_files_name_file_line_and_field() {
     for (good, bad, right, wrong, expected) in cases {
         fs::write(folder.path().join("m.toml"), map.replacen(good, bad, 1)).unwrap();
         fs::write(folder.path().join("a.csv"), file.replacen(right, wrong, 1)).unwrap();
-        assert_refused(&run_crumple(folder.path(), &["import", "a.csv", "--map", "m.toml"]), expected);
+        assert_refused(&run_crumple(folder.path(), "import a.csv --map m.toml"), expected);
     }
-    assert_refused(&run_crumple(folder.path(), &["import", "a.csv", "--map", "none.toml"]), "none.toml: ");
+    assert_refused(&run_crumple(folder.path(), "import a.csv --map none.toml"), "none.toml: ");
     fs::write(folder.path().join("m.toml"), format!("{map}#{}", " ".repeat(1 << 16))).unwrap();
-    assert_refused(
-        &run_crumple(folder.path(), &["import", "a.csv", "--map", "m.toml"]),
-        "m.toml: holds more than 0 MiB",
-    );
+    assert_refused(&run_crumple(folder.path(), "import a.csv --map m.toml"), "m.toml: holds more than 0 MiB");
 }
 
 #[test]
 fn exports_are_two_files_a_scenario() {
     let folder = temp_folder();
-    let export =
-        |more: &[&str]| run_crumple(folder.path(), &[&["export", "--to", "openscenario", "--out", "x"], more].concat());
-    let done = export(&["paper-1", "paper-2", "--controller", "idm"]);
+    let export = |more: &str| run_crumple(folder.path(), &format!("export --to openscenario --out x {more}"));
+    let done = export("paper-1 paper-2 --controller idm");
     assert_eq!((exit_code(&done), stdout(&done).lines().count()), (0, 2), "{done:?}");
     assert_eq!(
         file_names_in(&folder.path().join("x")),
@@ -115,32 +108,27 @@ fn exports_are_two_files_a_scenario() {
     );
     let read = || fs::read(folder.path().join("x/paper-1.xosc")).unwrap();
     let before = read();
-    assert_eq!((exit_code(&export(&["paper-1", "--controller", "idm"])), read()), (0, before), "the same again");
-    assert_eq!(exit_code(&export(&["paper-1", "--as", "actions"])), 0);
+    assert_eq!((exit_code(&export("paper-1 --controller idm")), read()), (0, before), "the same again");
+    assert_eq!(exit_code(&export("paper-1 --as actions")), 0);
+    assert_refused(&export("paper-1 paper-1"), "paper-1: paper-1.xosc would overwrite the file of another scenario");
     assert_refused(
-        &export(&["paper-1", "paper-1"]),
-        "paper-1: paper-1.xosc would overwrite the file of another scenario",
-    );
-    assert_refused(
-        &export(&["paper-1", "--as", "actions", "--controller", "idm"]),
+        &export("paper-1 --as actions --controller idm"),
         "--controller: applies only to `--as trajectories`",
     );
-    assert_refused(&export(&["nowhere"]), "`nowhere` is neither a built-in scenario");
+    assert_refused(&export("nowhere"), "`nowhere` is neither a built-in scenario");
 }
 
 /// The header of the export names the recorded controller.
 #[test]
 fn exports_of_counterexamples_have_the_recorded_controller() {
     let folder = temp_folder();
-    let search =
-        ["falsify", "--controller", "match-leader", "--space", "high-risk", "--budget", "10", "--out", "found"];
-    run_ok(folder.path(), &search);
+    let search = "falsify --controller match-leader --space high-risk --budget 10 --out found";
+    run_ok(folder.path(), search);
     let files = file_names_in(&folder.path().join("found/counterexamples"));
     let name = files.iter().find(|name| name.contains("-hits-")).expect("a collision");
     let file = format!("found/counterexamples/{name}");
-    let export = |file: &str, more: &[&str]| {
-        run_crumple(folder.path(), &[&["export", file, "--to", "openscenario", "--out", "x"], more].concat())
-    };
+    let export =
+        |file: &str, more: &str| run_crumple(folder.path(), &format!("export {file} --to openscenario --out x {more}"));
     let header = || {
         let written = file_names_in(&folder.path().join("x"));
         let scenario = written.iter().find(|name| name.ends_with(".xosc")).expect("written");
@@ -149,15 +137,15 @@ fn exports_of_counterexamples_have_the_recorded_controller() {
     };
     let original = file.replace("counterexamples/", "counterexamples/originals/");
     for recorded in [&original, &file] {
-        let done = export(recorded, &[]);
+        let done = export(recorded, "");
         assert!(stdout(&done).contains("under match-leader, estimator kalman"), "{done:?}");
         assert!(header().contains("what every vehicle did under `match-leader`"), "{}", header());
         fs::remove_dir_all(folder.path().join("x")).unwrap();
     }
-    assert!(stdout(&export(&file, &["--controller", "idm"])).contains("under idm, estimator kalman"));
+    assert!(stdout(&export(&file, "--controller idm")).contains("under idm, estimator kalman"));
     assert!(header().contains("what every vehicle did under `idm`"), "{}", header());
 
-    let simulated = run_crumple(folder.path(), &["simulate", &file]);
+    let simulated = run_crumple(folder.path(), &format!("simulate {file}"));
     assert!(stdout(&simulated).contains(": baseline, estimator kalman"), "{simulated:?}");
     let message = format!("note: {file} was recorded with `match-leader`, but is simulated with `baseline`");
     assert!(stderr(&simulated).contains(&message), "{simulated:?}");
@@ -165,7 +153,7 @@ fn exports_of_counterexamples_have_the_recorded_controller() {
     // A copy has no record, and a record may name several controllers.
     fs::copy(folder.path().join(&file), folder.path().join("alone.toml")).unwrap();
     assert_refused(
-        &export("alone.toml", &[]),
+        &export("alone.toml", ""),
         "alone.toml: no record states the controller of this scenario: choose one",
     );
     let record = file_names_in(&folder.path().join("found/counterexamples"))
@@ -176,9 +164,9 @@ fn exports_of_counterexamples_have_the_recorded_controller() {
     let entry = text.split("[[expected]]").find(|entry| entry.contains(&format!("\"{name}\""))).expect("an entry");
     fs::write(&record, format!("{text}[[expected]]{}", entry.replace("match-leader", "idm"))).unwrap();
     assert_refused(
-        &export(&file, &[]),
+        &export(&file, ""),
         "recorded with several controllers (`match-leader` and `idm`): choose one with --controller",
     );
     fs::write(&record, text.replace("\"match-leader\"", "\"gone.toml\"")).unwrap();
-    assert_refused(&export(&file, &[]), "the record names the controller `gone.toml`: ");
+    assert_refused(&export(&file, ""), "the record names the controller `gone.toml`: ");
 }

@@ -1,50 +1,20 @@
 //! `crumple falsify`: results, output files, and resumption after a kill.
 
-use std::collections::BTreeMap;
-use std::fs;
-use std::path::{Path, PathBuf};
-use std::process::Stdio;
-use std::thread::sleep;
-use std::time::Duration;
-
 use flate2::read::GzDecoder;
-use serde_json::Value;
 
-use super::{
-    assert_refused, command, exit_code, file_names_in, json_objects, kill_at_random_times, run_crumple, run_ok, stderr,
-    stdout, temp_folder,
-};
+use super::*;
+use crate::damage::{assert_same_contents, read_tree};
 use crumple_search::falsify::counterexample::ExpectedFile;
 
-fn read_tree(folder: &Path) -> BTreeMap<PathBuf, Vec<u8>> {
-    let mut found = BTreeMap::new();
-    let mut folders = vec![folder.to_owned()];
-    while let Some(next) = folders.pop() {
-        for entry in fs::read_dir(&next).unwrap() {
-            let path = entry.unwrap().path();
-            if path.is_dir() {
-                folders.push(path);
-            } else {
-                found.insert(path.strip_prefix(folder).unwrap().to_owned(), fs::read(&path).unwrap());
-            }
-        }
-    }
-    found
-}
-
 pub(crate) fn assert_same_folders(one: &Path, other: &Path) {
-    let (one, other) = (read_tree(one), read_tree(other));
-    assert_eq!(one.keys().collect::<Vec<_>>(), other.keys().collect::<Vec<_>>());
-    for (path, bytes) in &one {
-        assert!(other[path] == *bytes, "{} differs", path.display());
-    }
+    assert_same_contents(&read_tree(one), &read_tree(other), "");
 }
 
 #[test]
 fn a_json_summary_assigns_numbers_to_methods() {
     let folder = temp_folder();
-    let search = ["falsify", "--controller", "idm", "--budget", "20", "--out", "runs", "--format", "json"];
-    let found = json_objects(&run_crumple(folder.path(), &search)).remove(0);
+    let search = "falsify --controller idm --budget 20 --out runs --format json";
+    let found = json_objects(&run_crumple(folder.path(), search)).remove(0);
     let kept = fs::read_to_string(folder.path().join("runs/summary.json")).unwrap();
     let kept: Value = serde_json::from_str(&kept).unwrap();
     for (name, value) in kept.as_object().unwrap() {
@@ -69,43 +39,29 @@ fn a_search_may_be_expected_to_find_a_failure_or_nothing() {
         (drives_on, "nothing", 0, ""),
         (drives_on, "failure", 1, "gate: expected a failure, but found none in 60 evaluations"),
     ];
-    for (number, (spec, expected, exit_code, message)) in cases.into_iter().enumerate() {
+    for (number, (spec, expected, code, message)) in cases.into_iter().enumerate() {
         let out = format!("{number}");
-        let search = ["falsify", "--controller", "baseline", "--space", "paper", "--budget", "20", "--spec", spec];
-        let output = run_crumple(folder.path(), &[&search[..], &["--expect", expected, "--out", &out]].concat());
-        assert_eq!(crate::command_line::exit_code(&output), exit_code, "{}", stderr(&output));
-        assert!(stderr(&output).contains(message) && !stdout(&output).is_empty(), "{}", stderr(&output));
+        let search = format!("falsify --controller baseline --space paper --budget 20 --spec '{spec}'");
+        let output = run_crumple(folder.path(), &format!("{search} --expect {expected} --out {out}"));
+        assert_reports(&output, code, message);
+        assert!(!stdout(&output).is_empty());
     }
     // Without a partner run, `--expect nothing` fails.
-    let search =
-        ["falsify", "--controller", "baseline", "--budget", "5", "--out", "alone", "--metamorphic", "larger-gap=1e6"];
-    let alone = run_crumple(folder.path(), &[&search[..], &["--expect", "nothing"]].concat());
-    assert_eq!(exit_code(&alone), 1);
-    assert!(stderr(&alone).contains("none of 15 evaluations has a second scenario"), "{}", stderr(&alone));
+    let search = "falsify --controller baseline --budget 5 --out alone --metamorphic larger-gap=1e6";
+    let alone = run_crumple(folder.path(), &format!("{search} --expect nothing"));
+    assert_reports(&alone, 1, "none of 15 evaluations has a second scenario");
     let expected = "NOT COMPARED: 5 of 5 evaluations have no valid scenario with 1000000 m less of a gap ahead at the \
         start (halton)";
     assert!(stdout(&alone).contains(expected), "{}", stdout(&alone));
-    let shard = ["falsify", "--controller", "idm", "--shard", "1/2", "--expect", "nothing"];
-    assert_eq!(exit_code(&run_crumple(folder.path(), &shard)), 2);
+    let shard = "falsify --controller idm --shard 1/2 --expect nothing";
+    assert_eq!(exit_code(&run_crumple(folder.path(), shard)), 2);
 }
 
 #[test]
 fn the_baseline_collides_in_the_papers_space_at_once() {
     let folder = temp_folder();
-    let campaign = [
-        "falsify",
-        "--controller",
-        "baseline",
-        "--space",
-        "paper",
-        "--budget",
-        "40",
-        "--out",
-        "found",
-        "--format",
-        "json",
-    ];
-    let output = run_ok(folder.path(), &campaign);
+    let campaign = "falsify --controller baseline --space paper --budget 40 --out found --format json";
+    let output = run_ok(folder.path(), campaign);
     let summary = json_objects(&output).remove(0);
     assert_eq!((&summary["evaluations"], &summary["falsified"]), (&40.into(), &true.into()));
     assert!(summary["first_falsification"].as_u64().unwrap() <= 3, "{}", summary["first_falsification"]);
@@ -132,21 +88,8 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
         // The file is self-contained, and a smaller step gives the same result.
         let file = format!("found/{}", found["file"].as_str().unwrap());
         for dt in ["0.01", "0.001"] {
-            let replayed = run_ok(
-                folder.path(),
-                &[
-                    "simulate",
-                    &file,
-                    "--controller",
-                    "baseline",
-                    "--dt",
-                    dt,
-                    "--expect",
-                    "collision",
-                    "--format",
-                    "json",
-                ],
-            );
+            let replay = format!("simulate {file} --controller baseline --dt {dt} --expect collision --format json");
+            let replayed = run_ok(folder.path(), &replay);
             let outcome = &json_objects(&replayed)[0]["outcome"];
             assert_eq!(outcome["rear_vehicle"], found["rear_vehicle"]);
             let (replayed, found) = (outcome["time_s"].as_f64().unwrap(), found["contact_time_s"].as_f64().unwrap());
@@ -160,15 +103,11 @@ fn the_baseline_collides_in_the_papers_space_at_once() {
     }
     assert_eq!((&kept, &summary["of_method_asked_for"]), (&summary, &summary["methods"][0]));
     check_log(&folder.path().join("found/evaluations/part-00000.csv.gz"));
-    let again = run_crumple(folder.path(), &campaign);
+    let again = run_crumple(folder.path(), campaign);
     assert_eq!(exit_code(&again), 2, "an existing campaign is not overwritten");
-    let resumed = run_crumple(folder.path(), &[&campaign[..], &["--resume"]].concat());
-    assert_eq!(
-        (exit_code(&resumed), stdout(&resumed)),
-        (0, stdout(&output)),
-        "a complete one only repeats its summary"
-    );
-    let other = run_crumple(folder.path(), &[&campaign[..], &["--resume", "--seed", "5"]].concat());
+    let resumed = run_ok(folder.path(), &format!("{campaign} --resume"));
+    assert_eq!(stdout(&resumed), stdout(&output), "a complete one only repeats its summary");
+    let other = run_crumple(folder.path(), &format!("{campaign} --resume --seed 5"));
     assert_refused(&other, "found/campaign.toml: the campaign there has a different `seed`: 0 instead of 5");
 }
 
@@ -194,31 +133,21 @@ fn check_log(path: &Path) {
     assert_eq!(rows, 120);
 }
 
-const CAMPAIGN_ARGS: [&str; 7] = ["falsify", "--controller", "match-leader", "--budget", "250", "--seed", "3"];
+const CAMPAIGN_ARGS: &str = "falsify --controller match-leader --budget 250 --seed 3";
 
 #[test]
 fn a_campaign_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_threads() {
     let folder = temp_folder();
-    let through = command(folder.path(), &[&CAMPAIGN_ARGS[..], &["--out", "through"]].concat())
-        .env("RAYON_NUM_THREADS", "1")
-        .output()
-        .unwrap();
-    assert_eq!(exit_code(&through), 0, "{}", stderr(&through));
-    let resume = [&CAMPAIGN_ARGS[..], &["--out", "killed", "--resume"]].concat();
-    let killed = kill_at_random_times(folder.path(), &resume, (0..12).map(|round| 5..150 + 100 * round));
-    assert!(killed >= 2, "killed {killed} times");
-    let ended = command(folder.path(), &resume).env("RAYON_NUM_THREADS", "3").output().unwrap();
-    assert_eq!((exit_code(&ended), stdout(&ended)), (0, stdout(&through)), "{}", stderr(&ended));
-    assert_same_folders(&folder.path().join("through"), &folder.path().join("killed"));
+    let through = assert_survives_kills(folder.path(), CAMPAIGN_ARGS, (0..12).map(|round| 5..150 + 100 * round));
+    assert_eq!(exit_code(&through), 0);
 }
 
 #[test]
 fn a_formula_is_falsified_without_a_contact() {
     let folder = temp_folder();
     let formula = "always v1.time_gap_s > 0.3";
-    let arguments =
-        ["falsify", "--controller", "match-leader", "--space", "paper", "--budget", "60", "--spec", formula];
-    let output = run_ok(folder.path(), &[&arguments[..], &["--format", "json"]].concat());
+    let arguments = format!("falsify --controller match-leader --space paper --budget 60 --spec '{formula}'");
+    let output = run_ok(folder.path(), &format!("{arguments} --format json"));
     let summary = json_objects(&output).remove(0);
     assert_eq!(summary["specification"], "always (v1.time_gap_s > 0.3)");
     assert!(summary["methods"][0]["best_robustness"].as_f64().is_some());
@@ -231,8 +160,8 @@ fn a_formula_is_falsified_without_a_contact() {
         let file = format!("crumple-campaign/{}", one["file"].as_str().unwrap());
         assert!(file.ends_with("-violation.toml"));
         let replay = |spec: &str, expectation: &str| {
-            let arguments = ["simulate", &file, "--controller", "match-leader", "--format", "json"];
-            run_crumple(folder.path(), &[&arguments[..], &["--spec", spec, "--expect", expectation]].concat())
+            let arguments = format!("simulate {file} --controller match-leader --format json");
+            run_crumple(folder.path(), &format!("{arguments} --spec '{spec}' --expect {expectation}"))
         };
         let replayed = replay(formula, "violated");
         assert_eq!(exit_code(&replayed), 0, "{}", stderr(&replayed));
@@ -247,19 +176,16 @@ fn a_formula_is_falsified_without_a_contact() {
 #[test]
 fn every_toml_file_beside_counterexamples_is_a_scenario() {
     let folder = temp_folder();
-    let arguments = ["falsify", "--controller=match-leader", "--space=high-risk", "--budget=40", "--out=found"];
-    run_ok(folder.path(), &arguments);
+    let arguments = "falsify --controller=match-leader --space=high-risk --budget=40 --out=found";
+    run_ok(folder.path(), arguments);
     let counterexamples = folder.path().join("found/counterexamples");
     let files = || {
         let names = file_names_in(&counterexamples).into_iter().filter(|name| name.ends_with(".toml"));
         names.map(|name| format!("found/counterexamples/{name}")).collect::<Vec<_>>()
     };
     let simulate = || {
-        let files = files();
-        let files = files.iter().map(String::as_str);
-        let arguments = ["simulate", "--controller=match-leader", "--format=json", "--expect=collision"];
-        let output = run_ok(folder.path(), &arguments.into_iter().chain(files).collect::<Vec<_>>());
-        json_objects(&output).len()
+        let arguments = "--controller=match-leader --format=json --expect=collision";
+        json_objects(&run_ok(folder.path(), &format!("simulate {} {arguments}", files().join(" ")))).len()
     };
     let found = files().len();
     assert!(found > 0 && simulate() == found);
@@ -273,9 +199,8 @@ fn every_toml_file_beside_counterexamples_is_a_scenario() {
 fn the_front_of_severity_and_likelihood_is_shown() {
     let folder = temp_folder();
     let campaign = |aim: &str, out: &str| {
-        let arguments =
-            ["falsify", "--controller", "baseline", "--space", "paper", "--budget", "60", "--format", "json"];
-        let output = run_ok(folder.path(), &[&arguments[..], &["--aim", aim, "--out", out]].concat());
+        let arguments = "falsify --controller baseline --space paper --budget 60 --format json";
+        let output = run_ok(folder.path(), &format!("{arguments} --aim {aim} --out {out}"));
         json_objects(&output).remove(0)
     };
     let summary = campaign("severest", "severest");
@@ -296,26 +221,18 @@ fn the_front_of_severity_and_likelihood_is_shown() {
 #[cfg(unix)]
 fn used_interrupted_and_damaged_campaigns_are_reported() {
     let folder = temp_folder();
-    let arguments = ["falsify", "--controller", "policy", "--budget", "50000", "--out", "busy", "--resume"];
+    let arguments = "falsify --controller policy --budget 50000 --out busy --resume";
     let journal = folder.path().join("busy/evaluations.journal");
-    let child = command(folder.path(), &arguments).stdout(Stdio::null()).stderr(Stdio::piped()).spawn().unwrap();
+    let child = spawn(folder.path(), arguments);
     let manifest = folder.path().join("busy/work.json");
     let begun = || fs::read_to_string(&manifest).is_ok_and(|text| text.contains("growing"));
     let empty = "\"bytes\": 0,";
     while !begun() || fs::read_to_string(&manifest).is_ok_and(|text| text.contains(empty)) {
         sleep(Duration::from_millis(20));
     }
-    let second = run_crumple(folder.path(), &arguments);
-    assert_refused(&second, "busy: another process is working on the campaign there");
-    let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert!(interrupt.success());
-    let ended = child.wait_with_output().unwrap();
-    assert_eq!(ended.status.code(), Some(130));
-    let message = String::from_utf8(ended.stderr).unwrap();
-    assert!(
-        message.contains("interrupted: the evaluations so far are in busy: the same command with --resume"),
-        "{message}"
-    );
+    assert_refused(&run_crumple(folder.path(), arguments), "busy: another process is working on the campaign there");
+    let message = "interrupted: the evaluations so far are in busy: the same command with --resume";
+    assert_reports(&interrupt(child), 130, message);
     let whole = fs::read(&journal).unwrap();
     let known: Value = serde_json::from_slice(&fs::read(&manifest).unwrap()).unwrap();
     let known = &known["files"]["evaluations.journal"]["growing"]["bytes"];
@@ -326,10 +243,8 @@ fn used_interrupted_and_damaged_campaigns_are_reported() {
         bytes[place] ^= 1;
         Some(bytes)
     };
-    let (begins_otherwise, shorter) = (
-        format!("its first {known} bytes have changed since they were written"),
-        format!("shorter than the {known} bytes"),
-    );
+    let begins_otherwise = format!("its first {known} bytes have changed since they were written");
+    let shorter = format!("shorter than the {known} bytes");
     let mut damages = vec![
         (changed(0), begins_otherwise.as_str()),
         (changed(known - 1), begins_otherwise.as_str()),
@@ -344,42 +259,32 @@ fn used_interrupted_and_damaged_campaigns_are_reported() {
             Some(bytes) => fs::write(&journal, bytes).unwrap(),
             None => fs::remove_file(&journal).unwrap(),
         }
-        assert_refused(&run_crumple(folder.path(), &arguments), &format!("busy/evaluations.journal: {message}"));
-        let looked = run_crumple(folder.path(), &["fsck", "busy"]);
-        assert_eq!(exit_code(&looked), 1, "{looked:?}");
-        assert!(stdout(&looked).contains(&format!("evaluations.journal: {message}")), "{looked:?}");
+        assert_refused(&run_crumple(folder.path(), arguments), &format!("busy/evaluations.journal: {message}"));
+        assert_prints(&run_crumple(folder.path(), "fsck busy"), 1, &[&format!("evaluations.journal: {message}")]);
     }
     // An existing file in the place of a result is an error before any work.
     fs::write(&journal, &whole).unwrap();
     fs::write(folder.path().join("busy/summary.json"), "{}").unwrap();
-    assert_refused(&run_crumple(folder.path(), &arguments), "busy/summary.json: work.json does not list this file");
-    let looked = run_crumple(folder.path(), &["fsck", "busy"]);
-    assert!(
-        stdout(&looked).contains("2 of 2 files are intact\n  summary.json: not part of these results, in a folder"),
-        "{looked:?}"
-    );
-    assert_eq!(exit_code(&looked), 1);
+    assert_refused(&run_crumple(folder.path(), arguments), "busy/summary.json: work.json does not list this file");
+    let damaged = "2 of 2 files are intact\n  summary.json: not part of these results, in a folder";
+    assert_prints(&run_crumple(folder.path(), "fsck busy"), 1, &[damaged]);
 }
 
 #[test]
 fn a_campaign_in_another_space_names_the_difference() {
     let folder = temp_folder();
     let good = include_str!("../../../crates/world/src/scenario/space/built_in/paper.toml");
-    let campaign = |more: &[&str]| {
-        let arguments = ["falsify", "--controller", "idm", "--space", "own.toml", "--budget", "5"];
-        run_crumple(folder.path(), &[&arguments[..], more].concat())
+    let campaign = |more: &str| {
+        let arguments = "falsify --controller idm --space own.toml --budget 5";
+        run_crumple(folder.path(), &format!("{arguments} {more}"))
     };
     fs::write(folder.path().join("own.toml"), good).unwrap();
-    assert_eq!(exit_code(&campaign(&[])), 0);
-    fs::write(
-        folder.path().join("own.toml"),
-        good.replace("mean = 3.0, deviation = 0.2", "mean = 3.0, deviation = 0.3"),
-    )
-    .unwrap();
-    let resumed = campaign(&["--resume"]);
+    assert_eq!(exit_code(&campaign("")), 0);
+    let other = good.replace("mean = 3.0, deviation = 0.2", "mean = 3.0, deviation = 0.3");
+    fs::write(folder.path().join("own.toml"), other).unwrap();
     let expected = "the campaign there has a different `space.parameters[4].distribution.normal.deviation`: 0.2 \
         instead of 0.3";
-    assert_refused(&resumed, expected);
+    assert_refused(&campaign("--resume"), expected);
 }
 
 #[test]
@@ -389,64 +294,58 @@ fn mistakes_are_reported_before_anything_is_written() {
     let line = 1 + good.lines().position(|line| line.contains("deviation = 0.2, low = 2.0")).unwrap();
     fs::write(folder.path().join("bad.toml"), good.replace("deviation = 0.2, low = 2.0", "deviation = -1, low = 2.0"))
         .unwrap();
-    let falsify = |arguments: &[&str]| {
-        let output = run_crumple(folder.path(), &[&["falsify", "--controller", "baseline"], arguments].concat());
+    let falsify = |arguments: &str| {
+        let output = run_crumple(folder.path(), &format!("falsify --controller baseline {arguments}"));
         assert_eq!((exit_code(&output), stdout(&output)), (2, ""));
         stderr(&output).to_owned()
     };
     let expected =
         format!("error: bad.toml:{line}: parameters[4].distribution.normal: deviation must be above 0, found -1");
-    let found = falsify(&["--space", "bad.toml"]);
+    let found = falsify("--space bad.toml");
     assert!(found.starts_with(&expected), "{found}");
-    assert!(falsify(&["--space", "nowhere"]).contains("neither a built-in space (paper, high-risk, traffic, "));
-    assert!(falsify(&["--space", "none.toml"]).contains("none.toml: No such file"));
-    assert!(falsify(&["--spec", "always v1.gap_m >"]).contains("--spec: column 18"));
+    assert!(falsify("--space nowhere").contains("neither a built-in space (paper, high-risk, traffic, "));
+    assert!(falsify("--space none.toml").contains("none.toml: No such file"));
+    assert!(falsify("--spec 'always v1.gap_m >'").contains("--spec: column 18"));
     for misspelt in ["no amplificaton", "imposed braking at most 4", "imposed braking at most -4 m/s2"] {
-        let found = falsify(&["--spec", misspelt]);
+        let found = falsify(&format!("--spec '{misspelt}'"));
         assert!(found.contains("`no amplification`") && found.contains("`no contact`"), "{misspelt}: {found}");
     }
-    let unknown = falsify(&["--spec", "always v7.gap_m > 0"]);
+    let unknown = falsify("--spec 'always v7.gap_m > 0'");
     let expected = "--spec: column 8: there is no signal `v7.gap_m`; there are: v0.position_m";
     assert!(unknown.contains(expected), "{unknown}");
-    assert!(falsify(&["--aim", "worst"]).contains("unknown aim `worst`; the aims are: severest, likeliest, nearest"));
-    assert!(falsify(&["--against", "baseline"]).contains("`baseline` is compared with itself"));
-    assert!(falsify(&["--method", "best"]).contains("unknown search method `best`"));
+    assert!(falsify("--aim worst").contains("unknown aim `worst`; the aims are: severest, likeliest, nearest"));
+    assert!(falsify("--against baseline").contains("`baseline` is compared with itself"));
+    assert!(falsify("--method best").contains("unknown search method `best`"));
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 1, "only the bad space is there");
 }
 
 #[test]
 fn benchmark_counterexamples_are_files_and_are_rechecked_from_them() {
     let folder = temp_folder();
-    let arguments =
-        ["benchmark", "chasing-cars", "--budget", "20", "--seeds", "1", "--out", "cars", "--format", "json"];
-    let output = run_ok(folder.path(), &arguments);
-    let successes: u64 =
-        json_objects(&output)[0]["rows"].as_array().unwrap().iter().map(|row| row["successes"].as_u64().unwrap()).sum();
+    let arguments = "benchmark chasing-cars --budget 20 --seeds 1 --out cars --format json";
+    let output = run_ok(folder.path(), arguments);
+    let found = json_objects(&output).remove(0);
+    let successes: u64 = found["rows"].as_array().unwrap().iter().map(|row| row["successes"].as_u64().unwrap()).sum();
     let files = read_tree(&folder.path().join("cars"));
     assert!(successes >= 3 && files.len() as u64 == successes, "{successes} {:?}", files.keys());
     assert!(stderr(&output).contains(&format!("wrote {successes} counterexamples to cars; the replay confirms each")));
-    let again = run_crumple(folder.path(), &arguments);
-    assert_refused(&again, "--out: cars is not empty");
+    assert_refused(&run_crumple(folder.path(), arguments), "--out: cars is not empty");
 }
 
 #[test]
 fn parts_of_formulas_without_a_temporal_operator_are_warned_of() {
     let folder = temp_folder();
-    let warned = |arguments: &[&str]| {
+    let warned = |arguments: &str| {
         let output = run_ok(folder.path(), arguments);
         (stdout(&output).to_owned(), stderr(&output).to_owned())
     };
     let formula = "always v2.gap_m > 1 and v1.gap_m > 5";
     let warning = "warning: --spec: `v1.gap_m > 5` has no temporal operator";
-    let (printed, message) = warned(&["simulate", "paper-1", "--controller", "idm", "--spec", formula]);
-    assert!(
-        printed.contains("holds, robustness") && printed.contains(": (always (v2.gap_m > 1)) and (v1.gap_m > 5)"),
-        "{printed}"
-    );
+    let (printed, message) = warned(&format!("simulate paper-1 --controller idm --spec '{formula}'"));
+    assert_contains(&printed, &["holds, robustness", ": (always (v2.gap_m > 1)) and (v1.gap_m > 5)"]);
     assert!(message.contains(warning), "{message}");
-    let (_, message) =
-        warned(&["falsify", "--controller", "idm", "--budget", "1", "--spec", formula, "--out", "found"]);
+    let (_, message) = warned(&format!("falsify --controller idm --budget 1 --spec '{formula}' --out found"));
     assert!(message.contains(warning), "{message}");
-    let (_, message) = warned(&["simulate", "paper-1", "--controller", "idm", "--spec", "always (v1.gap_m > 1)"]);
+    let (_, message) = warned("simulate paper-1 --controller idm --spec 'always (v1.gap_m > 1)'");
     assert!(!message.contains("warning"), "{message}");
 }

@@ -1,7 +1,6 @@
 //! `crumple fit`, and failure rates in fitted spaces.
 
 use std::fmt::Write;
-use std::path::Path;
 
 use super::*;
 use crumple_world::scenario::space::{DistributionSpec, ScenarioSpace, UniformSpec, file};
@@ -28,41 +27,39 @@ fn events_csv(count: u32) -> String {
 fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     let folder = temp_folder();
     let here = folder.path();
-    std::fs::write(here.join("events.csv"), events_csv(40)).unwrap();
-    let fitted = run_ok(here, &["fit", "events.csv", "--out", "space.toml", "--plot", "fit.svg", "--samples", "19"]);
+    fs::write(here.join("events.csv"), events_csv(40)).unwrap();
+    let fitted = run_ok(here, "fit events.csv --out space.toml --plot fit.svg --samples 19");
     assert!(stdout(&fitted).starts_with("40 braking episodes in 40 waves, of 2 vehicles\n"), "{}", stdout(&fitted));
-    let drawn = std::fs::read_to_string(here.join("fit.svg")).unwrap();
+    let drawn = fs::read_to_string(here.join("fit.svg")).unwrap();
     assert!(["lead_speed_mps", "time_gap_1_s", "KS"].iter().all(|name| drawn.contains(name)));
-    let text = std::fs::read_to_string(here.join("space.toml")).unwrap();
+    let text = fs::read_to_string(here.join("space.toml")).unwrap();
 
-    let drawn_over = |more: &[&str]| {
-        let fit =
-            ["fit", "events.csv", "--out", "other.toml", "--name", "other", "--plot", "fit.svg", "--samples", "19"];
-        run_crumple(here, &[&fit[..], more].concat())
+    let drawn_over = |more: &str| {
+        let fit = "fit events.csv --out other.toml --name other --plot fit.svg --samples 19";
+        run_crumple(here, &format!("{fit} {more}"))
     };
-    assert_refused(&drawn_over(&[]), "fit.svg: exists with other contents: use --force");
+    assert_refused(&drawn_over(""), "fit.svg: exists with other contents: use --force");
     assert!(!here.join("other.toml").exists());
-    assert_eq!(exit_code(&drawn_over(&["--force"])), 0);
+    assert_eq!(exit_code(&drawn_over("--force")), 0);
 
     // Equal output is accepted; an edited file needs --force.
-    let again = ["fit", "events.csv", "--out", "space.toml", "--samples", "19", "--format", "json"];
-    let json = &json_objects(&run_crumple(here, &again))[0];
+    let again = "fit events.csv --out space.toml --samples 19 --format json";
+    let json = &json_objects(&run_crumple(here, again))[0];
     assert_eq!((json["exposure"]["episodes"].as_u64(), json["numbers"].as_array().unwrap().len()), (Some(40), 5));
-    std::fs::write(here.join("space.toml"), text.replace("name = \"fitted\"", "name = \"mine\"")).unwrap();
-    assert_refused(&run_crumple(here, &again), "space.toml: exists with other contents");
-    assert_eq!(exit_code(&run_crumple(here, &[&again[..], &["--force"]].concat())), 0);
-    assert_eq!(std::fs::read_to_string(here.join("space.toml")).unwrap(), text);
+    fs::write(here.join("space.toml"), text.replace("name = \"fitted\"", "name = \"mine\"")).unwrap();
+    assert_refused(&run_crumple(here, again), "space.toml: exists with other contents");
+    run_ok(here, &format!("{again} --force"));
+    assert_eq!(fs::read_to_string(here.join("space.toml")).unwrap(), text);
 
-    let rate = |threads: &str, more: &[&str]| {
-        let effort = ["--runs", "300", "--resamples", "79", "--resample-runs", "50", "--confidence", "0.9"];
-        let asked = ["verify", "rate", "--controller", "baseline", "--space", "space.toml", "--estimator", "truth"];
-        command(here, &[&asked[..], &effort, more].concat()).env("RAYON_NUM_THREADS", threads).output().expect("starts")
+    let rate = |threads: &str, more: &str| {
+        let effort = "--runs 300 --resamples 79 --resample-runs 50 --confidence 0.9";
+        let asked = "verify rate --controller baseline --space space.toml --estimator truth";
+        run_on_threads(here, threads, &format!("{asked} {effort} {more}"))
     };
-    let one = rate("1", &["--out", "one"]);
-    assert_eq!(exit_code(&one), 0, "{}", stderr(&one));
-    assert!(stdout(&one).contains("failures per hour") && stdout(&one).contains("with the uncertainty of the data"));
+    let one = rate("1", "--out one");
+    assert_prints(&one, 0, &["failures per hour", "with the uncertainty of the data"]);
     let on_the_road = |output: &Output| stdout(output).split_once("on the road").unwrap().1.to_owned();
-    for again in [rate("2", &["--out", "two"]), rate("2", &["--out", "one", "--resume"])] {
+    for again in [rate("2", "--out two"), rate("2", "--out one --resume")] {
         assert_eq!(on_the_road(&again), on_the_road(&one));
     }
 
@@ -70,10 +67,9 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     let mut changed = file::from_toml(&text, Path::new("space.toml")).unwrap().spec().clone();
     changed.parameters[0].distribution = DistributionSpec::Uniform(UniformSpec { low: 10.0, high: 26.0 });
     let changed = file::to_toml(&ScenarioSpace::new(changed, Path::new("")).unwrap()).unwrap();
-    std::fs::write(here.join("changed.toml"), changed).unwrap();
-    let asked =
-        ["verify", "rate", "--controller", "baseline", "--space", "changed.toml", "--runs", "50", "--out", "changed"];
-    let counted = run_ok(here, &[&asked[..], &["--confidence", "0.9"]].concat());
+    fs::write(here.join("changed.toml"), changed).unwrap();
+    let asked = "verify rate --controller baseline --space changed.toml --runs 50 --out changed";
+    let counted = run_ok(here, &format!("{asked} --confidence 0.9"));
     assert!(
         stdout(&counted)
             .contains("without the uncertainty of the data: `lead_speed_mps` was changed after the space was fitted"),
@@ -83,32 +79,31 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     // Shards simulate their share of the resamples; merged, they equal the result of one machine.
     for index in ["1", "2", "3"] {
         let which = format!("{index}/3");
-        let shard = rate("2", &["--shard", &which, "--out", index]);
+        let shard = rate("2", &format!("--shard {which} --out {index}"));
         assert_eq!(exit_code(&shard), 0, "{}", stderr(&shard));
         assert_eq!(file_names_in(&here.join(index)).len(), 4);
     }
-    let merged = run_crumple(here, &["merge", "3", "1", "2", "--out", "one"]);
+    let merged = run_crumple(here, "merge 3 1 2 --out one");
     assert_eq!((exit_code(&merged), stdout(&merged)), (0, stdout(&one)), "{}", stderr(&merged));
-    let json = &json_objects(&run_crumple(here, &["merge", "2", "1", "3", "--out", "one", "--format=json"]))[0];
+    let json = &json_objects(&run_crumple(here, "merge 2 1 3 --out one --format=json"))[0];
     assert!(json["exposed"]["with_data"]["figures"]["per_hour"]["estimate"].is_f64(), "{json}");
 
-    let rare = |more: &[&str]| {
-        let effort = ["--rare", "--samples", "50", "--repetitions", "5", "--resamples", "79", "--format", "json"];
-        let asked =
-            ["verify", "rate", "--controller", "full-throttle", "--space", "space.toml", "--estimator", "truth"];
-        run_crumple(here, &[&asked[..], &effort, more].concat())
+    let rare = |more: &str| {
+        let effort = "--rare --samples 50 --repetitions 5 --resamples 79 --format json";
+        let asked = "verify rate --controller full-throttle --space space.toml --estimator truth";
+        run_crumple(here, &format!("{asked} {effort} {more}"))
     };
-    let first = rare(&["--out", "rare"]);
+    let first = rare("--out rare");
     assert_eq!(exit_code(&first), 0, "{}", stderr(&first));
     assert!(json_objects(&first)[0]["exposed"]["fitted"]["per_hour"]["estimate"].is_f64(), "{}", stdout(&first));
-    assert_eq!(stdout(&rare(&["--out", "rare", "--resume"])), stdout(&first));
+    assert_eq!(stdout(&rare("--out rare --resume")), stdout(&first));
     for index in ["r1", "r2"] {
         let which = format!("{}/2", &index[1..]);
-        assert_eq!(exit_code(&rare(&["--shard", &which, "--out", index])), 0);
+        assert_eq!(exit_code(&rare(&format!("--shard {which} --out {index}"))), 0);
     }
-    let merged = run_crumple(here, &["merge", "r2", "r1", "--out", "rare", "--format=json"]);
+    let merged = run_crumple(here, "merge r2 r1 --out rare --format=json");
     assert_eq!((exit_code(&merged), stdout(&merged)), (0, stdout(&first)), "{}", stderr(&merged));
-    assert_eq!(exit_code(&run_crumple(here, &["fsck", "one", "rare"])), 0);
+    run_ok(here, "fsck one rare");
 
     let mut config = crate::assessments::config(&["baseline", "idm"]);
     config.distributions = Some(vec!["space.toml".to_owned()]);
@@ -124,36 +119,35 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
 fn unsuitable_data_are_refused() {
     let folder = temp_folder();
     let here = folder.path();
-    std::fs::write(here.join("few.csv"), events_csv(19)).unwrap();
-    std::fs::write(here.join("enough.csv"), events_csv(20)).unwrap();
-    let fit =
-        |recording: &str, more: &[&str]| run_crumple(here, &[&["fit", recording, "--out", "s.toml"], more].concat());
-    assert_refused(&fit("few.csv", &[]), "found 19 episodes of 2 vehicles, and 20 are needed");
+    fs::write(here.join("few.csv"), events_csv(19)).unwrap();
+    fs::write(here.join("enough.csv"), events_csv(20)).unwrap();
+    let fit = |recording: &str, more: &str| run_crumple(here, &format!("fit {recording} --out s.toml {more}"));
+    assert_refused(&fit("few.csv", ""), "found 19 episodes of 2 vehicles, and 20 are needed");
     assert_refused(
-        &fit("enough.csv", &["--vehicles", "3"]),
+        &fit("enough.csv", "--vehicles 3"),
         "found 0 episodes of 3 vehicles, and 28 are needed; 20 have fewer vehicles",
     );
-    assert_refused(&fit("enough.csv", &["--vehicles", "6"]), "6 is not in 2..=5");
-    assert_refused(&fit("enough.csv", &["--min-brake", "-1"]), "--min-brake");
-    assert_refused(&fit("enough.csv", &["--min-brake", "12"]), "min_brake: must be below 12 m/s²");
-    assert_refused(&fit("enough.csv", &["--name", ""]), "name: must have 1 to 100 characters");
-    assert_refused(&fit("nothing.csv", &[]), "nothing.csv");
-    assert_refused(&fit("enough.csv", &["./enough.csv"]), "./enough.csv: this recording is given twice");
-    assert_refused(&run_crumple(here, &["fit", "enough.csv", "--out", "s.json"]), "must end in .toml");
+    assert_refused(&fit("enough.csv", "--vehicles 6"), "6 is not in 2..=5");
+    assert_refused(&fit("enough.csv", "--min-brake -1"), "--min-brake");
+    assert_refused(&fit("enough.csv", "--min-brake 12"), "min_brake: must be below 12 m/s²");
+    assert_refused(&fit("enough.csv", "--name ''"), "name: must have 1 to 100 characters");
+    assert_refused(&fit("nothing.csv", ""), "nothing.csv");
+    assert_refused(&fit("enough.csv", "./enough.csv"), "./enough.csv: this recording is given twice");
+    assert_refused(&run_crumple(here, "fit enough.csv --out s.json"), "must end in .toml");
     let one: String = events_csv(1).lines().skip(1).map(|line| format!("{line}\n")).collect();
     let same = (0..25).map(|event| one.replace("\n0,", &format!("\n{event},")).replacen("0,", &format!("{event},"), 1));
     let header = events_csv(0);
-    std::fs::write(here.join("same.csv"), header + &same.collect::<String>()).unwrap();
-    assert_refused(&fit("same.csv", &[]), "all values are");
+    fs::write(here.join("same.csv"), header + &same.collect::<String>()).unwrap();
+    assert_refused(&fit("same.csv", ""), "all values are");
     assert!(!here.join("s.toml").exists());
     assert_refused(
-        &run_crumple(here, &["verify", "rate", "--controller", "idm", "--runs", "10", "--resamples", "5"]),
+        &run_crumple(here, "verify rate --controller idm --runs 10 --resamples 5"),
         "must be 0 or from 79 to 2000, found 5",
     );
     // A space without episodes cannot be resampled.
     for (option, value) in [("--resamples", "100"), ("--resample-runs", "60")] {
         assert_refused(
-            &run_crumple(here, &["verify", "rate", "--controller", "idm", "--runs", "10", option, value]),
+            &run_crumple(here, &format!("verify rate --controller idm --runs 10 {option} {value}")),
             &format!("{option}: the space `paper` was not fitted to episodes"),
         );
     }

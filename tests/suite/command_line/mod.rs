@@ -17,14 +17,19 @@ mod verify;
 mod worst_case;
 
 use std::collections::BTreeSet;
+use std::fs;
+use std::ops::Range;
 use std::path::Path;
-use std::process::{Command, Output, Stdio};
+use std::process::{Child, Command, Output, Stdio};
 use std::thread::sleep;
 use std::time::Duration;
 
+use crumple_core::digest::sha256;
 use crumple_world::control::ControllerSpec;
 use rand::{RngExt, SeedableRng};
 use serde_json::{Value, json};
+
+use crate::tiny::{self, assert_contains, replace_passages};
 
 /// Returns the subcommands that a `--help` output lists between usage and options.
 pub(crate) fn listed_subcommands(help: &Output) -> BTreeSet<String> {
@@ -35,56 +40,87 @@ pub(crate) fn listed_subcommands(help: &Output) -> BTreeSet<String> {
     names.filter_map(|line| line.split_whitespace().next()).filter(|name| *name != "help").map(str::to_owned).collect()
 }
 
-pub(crate) fn run_crumple(folder: &Path, arguments: &[&str]) -> Output {
+/// Runs `crumple` in a folder, with arguments that are written as in a shell.
+pub(crate) fn run_crumple(folder: &Path, arguments: &str) -> Output {
     command(folder, arguments).output().expect("starts")
 }
 
-fn run_ok(folder: &Path, arguments: &[&str]) -> Output {
+pub(crate) fn run_ok(folder: &Path, arguments: &str) -> Output {
     let output = run_crumple(folder, arguments);
-    assert_eq!(exit_code(&output), 0, "{}", stderr(&output));
+    assert_eq!(exit_code(&output), 0, "{arguments}: {}", stderr(&output));
     output
 }
 
-fn command(folder: &Path, arguments: &[&str]) -> Command {
+pub(crate) fn command(folder: &Path, arguments: &str) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
-    command.current_dir(folder).args(arguments).env("NO_COLOR", "1");
+    command.current_dir(folder).args(shlex::split(arguments).expect("closed quotes")).env("NO_COLOR", "1");
     command
+}
+
+pub(crate) fn run_on_threads(folder: &Path, threads: &str, arguments: &str) -> Output {
+    command(folder, arguments).env("RAYON_NUM_THREADS", threads).output().expect("starts")
+}
+
+/// Starts a command whose output is read later.
+pub(crate) fn spawn(folder: &Path, arguments: &str) -> Child {
+    command(folder, arguments).stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts")
+}
+
+/// Presses Ctrl-C.
+pub(crate) fn interrupt(child: Child) -> Output {
+    let interrupted = Command::new("kill").args(["-INT", &child.id().to_string()]).status().expect("kill is there");
+    assert!(interrupted.success());
+    child.wait_with_output().expect("ends")
 }
 
 pub(crate) fn exit_code(output: &Output) -> i32 {
     output.status.code().expect("not ended by a signal")
 }
 
-fn stdout(output: &Output) -> &str {
+pub(crate) fn stdout(output: &Output) -> &str {
     std::str::from_utf8(&output.stdout).expect("text")
 }
 
-fn stderr(output: &Output) -> &str {
+pub(crate) fn stderr(output: &Output) -> &str {
     std::str::from_utf8(&output.stderr).expect("text")
 }
 
-fn assert_refused(output: &Output, message: &str) {
-    assert_eq!(exit_code(output), 2, "{}", stderr(output));
-    assert!(stderr(output).contains(message), "{}", stderr(output));
+/// Checks the exit code, and that standard output contains some passages.
+#[track_caller]
+pub(crate) fn assert_prints(output: &Output, code: i32, passages: &[&str]) {
+    assert_eq!(exit_code(output), code, "{}{}", stdout(output), stderr(output));
+    assert_contains(stdout(output), passages);
 }
 
-fn json_objects(output: &Output) -> Vec<Value> {
+/// Checks the exit code, and that standard error contains a passage.
+#[track_caller]
+pub(crate) fn assert_reports(output: &Output, code: i32, passage: &str) {
+    assert_eq!(exit_code(output), code, "{}{}", stdout(output), stderr(output));
+    assert_contains(stderr(output), &[passage]);
+}
+
+#[track_caller]
+pub(crate) fn assert_refused(output: &Output, message: &str) {
+    assert_reports(output, 2, message);
+}
+
+pub(crate) fn json_objects(output: &Output) -> Vec<Value> {
     stdout(output).lines().map(|line| serde_json::from_str(line).expect("one object a line")).collect()
+}
+
+pub(crate) fn read_json(path: &Path) -> Value {
+    serde_json::from_slice(&fs::read(path).expect("readable")).expect("JSON")
 }
 
 pub(crate) fn temp_folder() -> tempfile::TempDir {
     tempfile::tempdir().expect("a place for temporary files")
 }
 
-fn file_names_in(folder: &Path) -> Vec<String> {
-    let entries = std::fs::read_dir(folder).expect("readable");
+pub(crate) fn file_names_in(folder: &Path) -> Vec<String> {
+    let entries = fs::read_dir(folder).expect("readable");
     let mut names: Vec<_> = entries.map(|entry| entry.unwrap().file_name().into_string().unwrap()).collect();
     names.sort();
     names
-}
-
-fn write_with_replacements(path: &Path, text: &str, changes: &[(&str, &str)]) {
-    std::fs::write(path, crate::tiny::replace_passages(text, changes)).expect("writable");
 }
 
 const PAPER_SCENARIOS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
@@ -93,8 +129,8 @@ const PAPER_SCENARIOS: [&str; 3] = ["paper-1", "paper-2", "paper-3"];
 #[test]
 fn simulate_prints_one_json_object_a_line() {
     let folder = temp_folder();
-    let arguments = ["simulate", "--controller", "baseline", "--estimator", "truth", "--format", "json"];
-    let output = run_crumple(folder.path(), &[&arguments[..], &PAPER_SCENARIOS].concat());
+    let arguments = "simulate --controller baseline --estimator truth --format json";
+    let output = run_crumple(folder.path(), &format!("{arguments} {}", PAPER_SCENARIOS.join(" ")));
     assert_eq!((exit_code(&output), stderr(&output)), (0, ""));
     let reports = json_objects(&output);
     assert_eq!(reports.iter().map(|report| report["scenario"].clone()).collect::<Vec<_>>(), PAPER_SCENARIOS);
@@ -124,21 +160,19 @@ fn simulate_prints_one_json_object_a_line() {
 #[test]
 fn options_reach_the_simulation() {
     let folder = temp_folder();
-    let run = |arguments: &[&str]| {
-        let arguments = [&["simulate", "paper-1", "--format", "json"], arguments].concat();
-        json_objects(&run_crumple(folder.path(), &arguments)).remove(0)
+    let run = |arguments: &str| {
+        json_objects(&run_crumple(folder.path(), &format!("simulate paper-1 --format json {arguments}"))).remove(0)
     };
-    assert_eq!(run(&["--controller", "match-leader"])["outcome"], json!({ "kind": "no_collision" }));
-    assert_eq!(run(&[])["estimator"], "kalman", "the default");
-    assert_eq!(run(&["--dt", "0.001"])["dt_s"], 0.001);
-    assert_eq!(run(&["--seed", "7"])["seed"], 7);
+    assert_eq!(run("--controller match-leader")["outcome"], json!({ "kind": "no_collision" }));
+    assert_eq!(run("")["estimator"], "kalman", "the default");
+    assert_eq!(run("--dt 0.001")["dt_s"], 0.001);
+    assert_eq!(run("--seed 7")["seed"], 7);
     // The baseline hardly reacts to noise; this controller copies its observation.
-    let noisy = |seed| run(&["--controller", "match-leader", "--seed", seed])["vehicles"].clone();
-    assert_ne!(noisy("7"), noisy("8"), "noise is another");
-    assert_eq!(noisy("7"), noisy("7"), "one seed decides everything");
-    let arguments = ["simulate", "paper-3", "--estimator", "truth", "--after-contact", "continue", "--format", "json"];
-    let pile_up = run_crumple(folder.path(), &arguments);
-    let pile_up = json_objects(&pile_up).remove(0);
+    let noisy = |seed: u64| run(&format!("--controller match-leader --seed {seed}"))["vehicles"].clone();
+    assert_ne!(noisy(7), noisy(8), "noise is another");
+    assert_eq!(noisy(7), noisy(7), "one seed decides everything");
+    let arguments = "simulate paper-3 --estimator truth --after-contact continue --format json";
+    let pile_up = json_objects(&run_crumple(folder.path(), arguments)).remove(0);
     assert_eq!(pile_up["impacts"].as_array().unwrap().len(), 4);
     assert_eq!(pile_up["vehicles_involved"], 5);
 }
@@ -146,14 +180,14 @@ fn options_reach_the_simulation() {
 #[test]
 fn expectations_decide_the_exit_code_and_say_so_on_standard_error() {
     let folder = temp_folder();
-    let run = |arguments: &[&str]| run_crumple(folder.path(), &[&["simulate"], arguments].concat());
-    let collided = run(&["paper-1", "--expect", "safe", "--format", "json"]);
+    let run = |arguments: &str| run_crumple(folder.path(), &format!("simulate {arguments}"));
+    let collided = run("paper-1 --expect safe --format json");
     assert_eq!((exit_code(&collided), stderr(&collided)), (1, "gate: expected no collision in paper-1\n"));
     assert_eq!(json_objects(&collided).len(), 1, "the results are printed all the same");
-    assert_eq!(exit_code(&run(&["paper-1", "--expect", "collision"])), 0);
-    let safe = ["--controller", "match-leader"];
-    assert_eq!(exit_code(&run(&[&safe[..], &PAPER_SCENARIOS, &["--expect", "safe"]].concat())), 0);
-    let missed = run(&[&safe[..], &PAPER_SCENARIOS, &["--expect", "collision"]].concat());
+    assert_eq!(exit_code(&run("paper-1 --expect collision")), 0);
+    let all = format!("{} --controller match-leader", PAPER_SCENARIOS.join(" "));
+    assert_eq!(exit_code(&run(&format!("{all} --expect safe"))), 0);
+    let missed = run(&format!("{all} --expect collision"));
     assert_eq!((exit_code(&missed), stderr(&missed)), (1, "gate: expected a collision in paper-1, paper-2, paper-3\n"));
 }
 
@@ -164,29 +198,27 @@ fn unnecessary_braking_is_reported_and_decides_usefulness() {
     let quiet = "version = 1\nname = \"quiet\"\nduration_s = 20.0\n\
         [[vehicles]]\nclass = \"light\"\nposition_m = 60.0\nspeed_mps = 25.0\ndriver = \"constant-speed\"\n\
         [[vehicles]]\nclass = \"light\"\nposition_m = 10.0\nspeed_mps = 25.0\ndriver = \"under-test\"\n";
-    std::fs::write(folder.path().join("quiet.toml"), quiet).expect("writable");
-    let run = |controller: &str, more: &[&str]| {
-        run_crumple(folder.path(), &[&["simulate", "quiet.toml", "--controller", controller], more].concat())
+    fs::write(folder.path().join("quiet.toml"), quiet).expect("writable");
+    let run = |controller: &str, more: &str| {
+        run_crumple(folder.path(), &format!("simulate quiet.toml --controller {controller} {more}"))
     };
-    assert_eq!(exit_code(&run("random-actions", &["--expect", "safe"])), 0);
-    let output = run("random-actions", &["--expect", "useful"]);
+    assert_eq!(exit_code(&run("random-actions", "--expect safe")), 0);
+    let output = run("random-actions", "--expect useful");
     let message = "gate: expected no collision, no unnecessary braking and no vehicle left behind in quiet\n";
-    assert_eq!((exit_code(&output), stderr(&output)), (1, message));
-    assert!(stdout(&output).contains("\n  vehicle 1 brakes unnecessarily for "), "{}", stdout(&output));
-    assert!(stdout(&output).contains(" was necessary\n"), "{}", stdout(&output));
+    assert_eq!(stderr(&output), message);
+    assert_prints(&output, 1, &["\n  vehicle 1 brakes unnecessarily for ", " was necessary\n"]);
 
-    let useful = run("idm", &["--expect", "useful", "--format", "json"]);
+    let useful = run("idm", "--expect useful --format json");
     assert_eq!(exit_code(&useful), 0);
     let none = json!([{ "vehicle": 1, "time_s": 0.0, "count": 0, "hardest": null }]);
     assert_eq!(json_objects(&useful)[0]["braking_without_cause"], none);
-    let report = json_objects(&run("random-actions", &["--format", "json"])).remove(0);
+    let report = json_objects(&run("random-actions", "--format json")).remove(0);
     let braking = &report["braking_without_cause"][0];
     let hardest = |field: &str| braking["hardest"][field].as_f64().expect("a number");
     assert!(braking["count"].as_u64() > Some(0) && hardest("brake_mps2") > hardest("caused_mps2") + 2.0, "{report}");
-    let left = run_crumple(folder.path(), &["simulate", "quiet.toml", "--controller", "policy", "--expect", "useful"]);
-    assert_eq!(exit_code(&left), 1);
-    assert!(stdout(&left).contains("vehicle 1 is left behind by its leader"), "{}", stdout(&left));
-    let contact = run_crumple(folder.path(), &["simulate", "paper-1", "--expect", "useful"]);
+    let left = run_crumple(folder.path(), "simulate quiet.toml --controller policy --expect useful");
+    assert_prints(&left, 1, &["vehicle 1 is left behind by its leader"]);
+    let contact = run_crumple(folder.path(), "simulate paper-1 --expect useful");
     assert_eq!(exit_code(&contact), 1, "a contact is no use either");
 }
 
@@ -197,9 +229,8 @@ fn traces_have_one_row_a_sample_and_vehicle() {
     for (after_contact, samples) in [("stop", None), ("continue", Some(1501))] {
         let mut reports = Vec::new();
         for file in TRACES {
-            let arguments = ["simulate", "paper-1", "--after-contact", after_contact, "--trace", file];
-            let output = run_ok(folder.path(), &[&arguments[..], &["--format", "json"]].concat());
-            reports = json_objects(&output);
+            let arguments = format!("simulate paper-1 --after-contact {after_contact} --trace {file} --format json");
+            reports = json_objects(&run_ok(folder.path(), &arguments));
         }
         let contact_s = reports[0]["outcome"]["time_s"].as_f64().unwrap();
         let samples = samples.unwrap_or((contact_s / 0.01).ceil() as usize + 1);
@@ -214,7 +245,7 @@ fn traces_have_one_row_a_sample_and_vehicle() {
         assert_eq!(rows.last().unwrap()[0].parse::<f64>().unwrap(), end_s);
         // `crumple-report` compares the rows of both formats.
         if TRACES.len() > 1 {
-            let parquet = std::fs::read(folder.path().join("trace.parquet")).unwrap();
+            let parquet = fs::read(folder.path().join("trace.parquet")).unwrap();
             assert!(parquet.starts_with(b"PAR1") && parquet.ends_with(b"PAR1"));
         }
     }
@@ -228,8 +259,8 @@ fn plots_match_their_file_names() {
     let folder = temp_folder();
     let png = cfg!(feature = "png").then_some(("p.png", &b"\x89PNG\r\n"[..]));
     for (file, opening) in [("p.svg", &b"<"[..])].into_iter().chain(png) {
-        run_ok(folder.path(), &["simulate", "paper-1", "--plot", file]);
-        assert!(std::fs::read(folder.path().join(file)).unwrap().starts_with(opening), "{file}");
+        run_ok(folder.path(), &format!("simulate paper-1 --plot {file}"));
+        assert!(fs::read(folder.path().join(file)).unwrap().starts_with(opening), "{file}");
     }
 }
 
@@ -237,12 +268,12 @@ fn plots_match_their_file_names() {
 #[test]
 fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
     let folder = temp_folder();
-    let doctor = json_objects(&run_crumple(folder.path(), &["doctor", "--format", "json"]));
-    let doctor_text = run_crumple(folder.path(), &["doctor"]);
+    let doctor = json_objects(&run_crumple(folder.path(), "doctor --format json"));
+    let doctor_text = run_crumple(folder.path(), "doctor");
     for (feature, enabled, arguments) in [
-        ("png", cfg!(feature = "png"), &["simulate", "paper-1", "--plot", "p.png"][..]),
-        ("png", cfg!(feature = "png"), &["suite", "map", "cut-in-gap", "--cells", "2x2", "--out", "m.png"]),
-        ("parquet", cfg!(feature = "parquet"), &["simulate", "paper-1", "--trace", "t.parquet"]),
+        ("png", cfg!(feature = "png"), "simulate paper-1 --plot p.png"),
+        ("png", cfg!(feature = "png"), "suite map cut-in-gap --cells 2x2 --out m.png"),
+        ("parquet", cfg!(feature = "parquet"), "simulate paper-1 --trace t.parquet"),
     ] {
         let listed = doctor[0]["features"].as_array().unwrap().iter().find(|listed| listed["name"] == feature).unwrap();
         assert_eq!(listed["enabled"], enabled);
@@ -260,23 +291,23 @@ fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
 #[test]
 fn several_scenarios_write_several_traces() {
     let folder = temp_folder();
-    run_ok(folder.path(), &["simulate", "paper-1", "paper-2", "--trace", "t.csv"]);
+    run_ok(folder.path(), "simulate paper-1 paper-2 --trace t.csv");
     assert_eq!(file_names_in(folder.path()), ["t-paper-1.csv", "t-paper-2.csv"]);
 }
 
 #[test]
 fn list_names_all_inputs_of_simulate() {
     let folder = temp_folder();
-    let all = run_crumple(folder.path(), &["list"]);
+    let all = run_crumple(folder.path(), "list");
     assert_eq!((exit_code(&all), stderr(&all)), (0, ""));
     let controllers = ControllerSpec::all();
     for name in PAPER_SCENARIOS.into_iter().chain(controllers.iter().map(ControllerSpec::name)) {
         assert!(stdout(&all).lines().any(|line| line.split_whitespace().next() == Some(name)), "{name}");
     }
-    let listed = &json_objects(&run_crumple(folder.path(), &["list", "--format", "json"]))[0];
+    let listed = &json_objects(&run_crumple(folder.path(), "list --format json"))[0];
     for controller in listed["controllers"].as_array().unwrap() {
         let name = controller["name"].as_str().unwrap();
-        let output = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", name]);
+        let output = run_crumple(folder.path(), &format!("simulate paper-1 --controller {name}"));
         assert_eq!(exit_code(&output), 0, "{name}: {}", stderr(&output));
         assert!(stdout(&output).starts_with(&format!("paper-1: {name}, ")));
     }
@@ -284,30 +315,27 @@ fn list_names_all_inputs_of_simulate() {
 
 #[test]
 fn help_documents_the_exit_codes() {
-    let output = run_crumple(temp_folder().path(), &["--help"]);
+    let output = run_crumple(temp_folder().path(), "--help");
     assert_eq!((exit_code(&output), stderr(&output)), (0, ""));
-    for line in [
-        "Exit codes:",
-        "  0    done",
-        "  1    a gate",
-        "  2    unusable",
-        "  3    the environment",
-        "  130  interrupted",
-    ] {
-        assert!(stdout(&output).contains(line), "{line}");
-    }
+    let lines = ["  0    done", "  1    a gate", "  2    unusable", "  3    the environment", "  130  interrupted"];
+    assert_contains(stdout(&output), &["Exit codes:"]);
+    assert_contains(stdout(&output), &lines);
+    // The configuration in the help of `assess` is TOML: no line of it is wrapped.
+    let help = run_crumple(temp_folder().path(), "assess --help");
+    let example = stdout(&help).lines().skip_while(|line| *line != "  version = 1");
+    let example: Vec<&str> = example.take_while(|line| !line.is_empty()).collect();
+    assert!(example.len() > 15 && example.iter().all(|line| line.chars().count() < 95), "{example:?}");
+    toml::from_str::<toml::Table>(&example.join("\n")).expect("is TOML");
 }
 
 /// No panic and no message; a failed gate still fails.
 #[test]
 fn a_closed_pipe_is_no_error() {
     let folder = temp_folder();
-    for (arguments, expected) in [
-        (&["simulate", "paper-1", "paper-2", "paper-3", "--dt", "0.0001"][..], 0),
-        (&["simulate", "paper-1", "--dt", "0.0001", "--expect", "safe"], 1),
-    ] {
-        let mut child = command(folder.path(), arguments);
-        let mut child = child.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("starts");
+    for (arguments, expected) in
+        [("simulate paper-1 paper-2 paper-3 --dt 0.0001", 0), ("simulate paper-1 --dt 0.0001 --expect safe", 1)]
+    {
+        let mut child = spawn(folder.path(), arguments);
         drop(child.stdout.take());
         let output = child.wait_with_output().expect("ends");
         assert_eq!(exit_code(&output), expected, "{}", stderr(&output));
@@ -318,31 +346,57 @@ fn a_closed_pipe_is_no_error() {
 #[cfg(target_os = "linux")]
 #[test]
 fn a_full_disk_under_standard_output_is_reported() {
-    let full = std::fs::OpenOptions::new().write(true).open("/dev/full").expect("there on Linux");
-    let output = command(temp_folder().path(), &["simulate", "paper-1"]).stdout(full).output().expect("starts");
+    let full = fs::OpenOptions::new().write(true).open("/dev/full").expect("there on Linux");
+    let output = command(temp_folder().path(), "simulate paper-1").stdout(full).output().expect("starts");
     assert_eq!(exit_code(&output), 3);
     assert!(stderr(&output).starts_with("error: standard output: "), "{}", stderr(&output));
 }
 
 /// Starts a command once for each range and kills it after a random but reproducible number of milliseconds. Returns
 /// the number of commands that were still running then.
-pub(crate) fn kill_at_random_times(
-    folder: &Path,
-    arguments: &[&str],
-    after_ms: impl Iterator<Item = std::ops::Range<u64>>,
-) -> usize {
+fn kill_at_random_times(folder: &Path, arguments: &str, after_ms: impl Iterator<Item = Range<u64>>) -> usize {
     let mut moments = rand_xoshiro::Xoshiro256PlusPlus::seed_from_u64(1);
-    let was_killed = |range: std::ops::Range<u64>| {
-        let mut child = command(folder, arguments)
-            .env("RAYON_NUM_THREADS", "3")
-            .stdout(Stdio::null())
-            .stderr(Stdio::null())
-            .spawn()
-            .unwrap();
+    let was_killed = |range: Range<u64>| {
+        let mut command = command(folder, arguments);
+        command.env("RAYON_NUM_THREADS", "3").stdout(Stdio::null()).stderr(Stdio::null());
+        let mut child = command.spawn().unwrap();
         sleep(Duration::from_millis(moments.random_range(range)));
         // SIGKILL: no cleanup.
         child.kill().unwrap();
         child.wait().unwrap().code().is_none()
     };
     after_ms.map(was_killed).filter(|&killed| killed).count()
+}
+
+/// Checks that work in the folder `killed`, killed at random times and resumed on three threads, ends with the output
+/// and the bytes of undisturbed work on one thread in the folder `through`. Returns the output of the latter.
+pub(crate) fn assert_survives_kills(
+    folder: &Path,
+    arguments: &str,
+    after_ms: impl Iterator<Item = Range<u64>>,
+) -> Output {
+    let through = run_on_threads(folder, "1", &format!("{arguments} --out through"));
+    let resume = format!("{arguments} --out killed --resume");
+    let killed = kill_at_random_times(folder, &resume, after_ms);
+    assert!(killed >= 2, "killed {killed} times");
+    let ended = run_on_threads(folder, "3", &resume);
+    assert_eq!((exit_code(&ended), stdout(&ended)), (exit_code(&through), stdout(&through)), "{}", stderr(&ended));
+    falsify::assert_same_folders(&folder.join("through"), &folder.join("killed"));
+    through
+}
+
+/// Writes lengths and hashes of a folder's files into its manifest, as an attacker would.
+pub(crate) fn rehash_manifest(folder: &Path) {
+    let path = folder.join("work.json");
+    let (mut text, manifest) = (fs::read_to_string(&path).unwrap(), read_json(&path));
+    let entry = |bytes: u64, digest: &str| format!("\"bytes\": {bytes},\n        \"sha256\": \"{digest}\"");
+    for (name, known) in manifest["files"].as_object().unwrap() {
+        let whole = (known["whole"]["bytes"].as_u64(), known["whole"]["sha256"].as_str());
+        if let ((Some(length), Some(digest)), Ok(bytes)) = (whole, fs::read(folder.join(name))) {
+            text = text.replace(&entry(length, digest), &entry(bytes.len() as u64, &sha256(bytes)));
+        }
+    }
+    let own = manifest["sha256"].as_str().unwrap();
+    let bare = text.replace(own, "");
+    fs::write(&path, text.replace(own, &sha256(bare))).unwrap();
 }

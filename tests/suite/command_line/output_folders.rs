@@ -1,9 +1,6 @@
 //! Folders in which crumple chooses file names: it replaces only files that it wrote.
 
-use std::fs;
-use std::path::Path;
-
-use super::{assert_refused, exit_code, file_names_in, run_crumple, stderr, temp_folder};
+use super::*;
 use crumple_store::disk::StagedFiles;
 
 const SUITE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/suites/lane-changes.toml");
@@ -18,21 +15,23 @@ const ASSESSMENT: &str = "version = 1\ncontrollers = [\"idm\"]\npaper = false\nd
 fn a_folder_of_results_keeps_every_file_that_crumple_did_not_write() {
     let folder = temp_folder();
     fs::write(folder.path().join("a.toml"), ASSESSMENT).unwrap();
-    let shards = ["suite", "run", SUITE, "--controller=full-throttle", "--shard=1/1", "--out=shard"];
-    assert_eq!(exit_code(&run_crumple(folder.path(), &shards)), 0);
+    let shards = format!("suite run '{SUITE}' --controller=full-throttle --shard=1/1 --out=shard");
+    run_ok(folder.path(), &shards);
     let other = "crumple did not write it";
-    let commands: [(&[&str], &str); 7] = [
-        (&["suite", "run", SUITE, "--controller=full-throttle"], other),
-        (&["merge", "shard"], other),
-        (&["export", "paper-1", "--to=openscenario"], other),
-        (&["man"], other),
-        (&["verify", "shield"], other),
-        (&["assess", "a.toml"], other),
-        (&["import", RECORDING], "exists with other contents"),
+    let suite = format!("suite run '{SUITE}' --controller=full-throttle");
+    let import = format!("import '{RECORDING}'");
+    let commands = [
+        (suite.as_str(), other),
+        ("merge shard", other),
+        ("export paper-1 --to=openscenario", other),
+        ("man", other),
+        ("verify shield", other),
+        ("assess a.toml", other),
+        (&import, "exists with other contents"),
     ];
     for (number, (command, refused)) in commands.into_iter().enumerate() {
         let (out, apart) = (format!("out-{number}"), format!("apart-{number}"));
-        let write = |out: &str| run_crumple(folder.path(), &[command, &["--quiet", "--out", out]].concat());
+        let write = |out: &str| run_crumple(folder.path(), &format!("{command} --quiet --out {out}"));
         let written = write(&out);
         assert_eq!(exit_code(&written), 0, "{command:?}: {}", stderr(&written));
         let names = file_names_in(&folder.path().join(&out));
@@ -65,7 +64,7 @@ fn a_folder_of_results_keeps_every_file_that_crumple_did_not_write() {
 fn an_interrupted_change_is_known_to_the_next_run() {
     let folder = temp_folder();
     let export = |controller: &str| {
-        let arguments = ["export", "paper-1", "--to=openscenario", "--controller", controller, "--out", "out"];
+        let arguments = format!("export paper-1 --to=openscenario --controller {controller} --out out");
         exit_code(&run_crumple(folder.path(), &arguments))
     };
     let at = |name: &str| folder.path().join("out").join(name);
@@ -89,14 +88,14 @@ fn merge_removes_files_of_killed_processes_only() {
     let at = |name: &str| folder.path().join(name);
     fs::write(at("a.toml"), ASSESSMENT).unwrap();
     for (kind, arguments) in [
-        ("suite", &["suite", "run", SUITE, "--controller=full-throttle", "--shard=1/1", "--out=suite"][..]),
-        ("assessment", &["assess", "a.toml", "--shard=1/1", "--out=assessment"]),
+        ("suite", format!("suite run '{SUITE}' --controller=full-throttle --shard=1/1 --out=suite")),
+        ("assessment", "assess a.toml --shard=1/1 --out=assessment".to_owned()),
     ] {
-        assert_eq!(exit_code(&run_crumple(folder.path(), arguments)), 0);
+        run_ok(folder.path(), &arguments);
         let out = format!("merged-{kind}");
         let results = if kind == "suite" { at(&out) } else { at(&out).join("evidence") };
         fs::create_dir_all(&results).unwrap();
-        let merge = || run_crumple(folder.path(), &["merge", kind, "--out", &out]);
+        let merge = || run_crumple(folder.path(), &format!("merge {kind} --out {out}"));
         for left in [".crumple-unfinished-file-aB3dE6", ".crumple-unfinished-aB3dE6"] {
             fs::write(results.join(left), "half").unwrap();
         }
@@ -117,9 +116,8 @@ fn merge_removes_files_of_killed_processes_only() {
 fn failures_of_an_earlier_suite_run_do_not_stay() {
     let folder = temp_folder();
     let failures = folder.path().join("failures");
-    let suite = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/suites/lane-changes.toml");
     let run = |controller: &str| {
-        run_crumple(folder.path(), &["suite", "run", suite, "--controller", controller, "--out", "failures"])
+        run_crumple(folder.path(), &format!("suite run '{SUITE}' --controller {controller} --out failures"))
     };
     assert_eq!(exit_code(&run("full-throttle")), 0);
     let listed = file_names_in(&failures);
@@ -142,19 +140,15 @@ fn failures_of_an_earlier_suite_run_do_not_stay() {
 #[test]
 fn an_edited_scenario_is_not_imported_over() {
     let folder = temp_folder();
-    let recording = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/recordings/synthetic-platoon.csv");
-    let import = |more: &[&str]| {
-        let arguments = [&["import", recording.to_str().unwrap(), "--out", "episodes"], more].concat();
-        run_crumple(folder.path(), &arguments)
-    };
-    assert_eq!((exit_code(&import(&[])), exit_code(&import(&[]))), (0, 0), "the same again is no edit");
+    let import = |more: &str| run_crumple(folder.path(), &format!("import '{RECORDING}' --out episodes {more}"));
+    assert_eq!((exit_code(&import("")), exit_code(&import(""))), (0, 0), "the same again is no edit");
     let names = file_names_in(&folder.path().join("episodes"));
     let first = folder.path().join("episodes").join(&names[0]);
     let genuine = fs::read_to_string(&first).unwrap();
     fs::write(&first, genuine.clone() + "# mine\n").unwrap();
-    assert_refused(&import(&[]), &format!("{}: exists with other contents: use --force", names[0]));
+    assert_refused(&import(""), &format!("{}: exists with other contents: use --force", names[0]));
     assert!(fs::read_to_string(&first).unwrap().ends_with("# mine\n"));
-    assert_eq!(exit_code(&import(&["--force"])), 0);
+    assert_eq!(exit_code(&import("--force")), 0);
     assert_eq!(fs::read_to_string(&first).unwrap(), genuine);
 }
 
@@ -173,19 +167,16 @@ fn a_report_removes_nothing_that_is_elsewhere() {
     }
     symlink("../../mine", at("report/counterexamples/deep")).unwrap();
     fs::write(at("a.toml"), ASSESSMENT).unwrap();
-    let digest = crumple_core::digest::sha256("precious");
-    let list = |names: &[&str]| {
-        let lines: String = names.iter().map(|name| format!("{digest}  {name}\n")).collect();
-        fs::write(at("report/report.sha256"), lines).unwrap();
-    };
-    let assess = || run_crumple(folder.path(), &["assess", "a.toml", "--out", "report"]);
+    let digest = sha256("precious");
+    let list = |name: &str| fs::write(at("report/report.sha256"), format!("{digest}  {name}\n")).unwrap();
+    let assess = || run_crumple(folder.path(), "assess a.toml --out report");
     assert_refused(&assess(), "report/counterexamples/deep: is a symbolic link");
     fs::remove_file(at("report/counterexamples/deep")).unwrap();
     for outside in ["scenarios/../../mine/a.toml", at("mine/a.toml").to_str().unwrap(), "../mine/b.toml"] {
-        list(&[outside]);
+        list(outside);
         assert_refused(&assess(), "report/report.sha256:1: expected a SHA-256 and the name of a file");
     }
-    list(&["scenarios/old.toml"]);
+    list("scenarios/old.toml");
     let made = assess();
     assert_eq!(exit_code(&made), 0, "{}", stderr(&made));
     assert_eq!(file_names_in(&at("mine")), ["a.toml", "b.toml"]);

@@ -1,9 +1,6 @@
 //! Destinations of results, and work that commands refuse.
 
-use std::fs;
-use std::path::Path;
-
-use super::{assert_refused, exit_code, file_names_in, run_crumple, stderr, temp_folder};
+use super::*;
 
 /// A link stays and its target is written; anything but a plain file is refused.
 #[cfg(unix)]
@@ -17,7 +14,7 @@ fn single_results_go_through_links_and_into_files_only() {
     symlink("elsewhere/target.csv", at("link.csv")).unwrap();
     symlink("elsewhere/nothing.csv", at("dangling.csv")).unwrap();
     symlink("/dev/null", at("null.csv")).unwrap();
-    let simulate = |trace: &str| run_crumple(folder.path(), &["simulate", "paper-1", "--trace", trace]);
+    let simulate = |trace: &str| run_crumple(folder.path(), &format!("simulate paper-1 --trace {trace}"));
     assert_eq!(exit_code(&simulate("link.csv")), 0);
     assert!(at("link.csv").is_symlink() && fs::read_to_string(at("elsewhere/target.csv")).unwrap().contains("time_s"));
     assert_refused(&simulate("dangling.csv"), "dangling.csv: the target of this symbolic link cannot be resolved");
@@ -26,7 +23,7 @@ fn single_results_go_through_links_and_into_files_only() {
     assert_eq!(file_names_in(&at("elsewhere")), ["target.csv"]);
     symlink("elsewhere/escape.toml", at("escape.toml")).unwrap();
     fs::write(at("elsewhere/escape.toml"), "old").unwrap();
-    assert_eq!(exit_code(&run_crumple(folder.path(), &["avoid", "paper-1", "--out", "escape.toml"])), 0);
+    run_ok(folder.path(), "avoid paper-1 --out escape.toml");
     assert!(at("escape.toml").is_symlink() && fs::read_to_string(at("elsewhere/escape.toml")).unwrap() != "old");
 }
 
@@ -44,77 +41,56 @@ fn platoon_toml(vehicles: usize, duration_s: f64) -> String {
 #[test]
 fn excessive_work_is_refused_at_the_start() {
     let folder = temp_folder();
-    let cases: [(&str, usize, f64, &[&str], &str); 6] = [
+    let cases = [
         (
-            "long",
+            "avoid",
             1,
             600.0,
-            &["avoid"],
             "1 vehicles under test over 60000 steps are too many: the limits are 20 vehicles and 50000",
         ),
+        ("avoid", 21, 2.0, "21 vehicles under test over 200 steps are too many: the limits are 20 vehicles and 50000"),
+        ("worst-case --controller idm", 50, 500.0, "51 vehicles over 50000 steps are too many: the limit is 500000"),
         (
-            "many",
-            21,
-            2.0,
-            &["avoid"],
-            "21 vehicles under test over 200 steps are too many: the limits are 20 vehicles and 50000",
-        ),
-        (
-            "both",
-            50,
-            500.0,
-            &["worst-case", "--controller", "idm"],
-            "51 vehicles over 50000 steps are too many: the limit is 500000",
-        ),
-        (
-            "often",
+            "worst-case --controller idm --budget 1000000",
             1,
             600.0,
-            &["worst-case", "--controller", "idm", "--budget", "1000000"],
             "1000000 simulations of 2 vehicles over 60000 steps are too many: the limit is 20000000000 vehicles times \
              steps in all, which allows 166666",
         ),
-        ("huge", 100, 600.0, &["simulate"], "duration_s: asks for"),
-        ("crowd", 1000, 1.0, &["simulate"], "vehicles: must have 2 to 1000 vehicles, found 1001"),
+        ("simulate", 100, 600.0, "duration_s: asks for"),
+        ("simulate", 1000, 1.0, "vehicles: must have 2 to 1000 vehicles, found 1001"),
     ];
-    for (name, vehicles, duration_s, command, expected) in cases {
-        let file = format!("{name}.toml");
-        fs::write(folder.path().join(&file), platoon_toml(vehicles, duration_s)).unwrap();
+    for (command, vehicles, duration_s, expected) in cases {
+        fs::write(folder.path().join("line.toml"), platoon_toml(vehicles, duration_s)).unwrap();
         let begun = std::time::Instant::now();
-        let output = run_crumple(folder.path(), &[command, &[file.as_str()]].concat());
-        assert_refused(&output, expected);
-        assert!(begun.elapsed().as_secs() < 20, "{name} took {:?}", begun.elapsed());
+        assert_refused(&run_crumple(folder.path(), &format!("{command} line.toml")), expected);
+        assert!(begun.elapsed().as_secs() < 20, "{command} took {:?}", begun.elapsed());
     }
     let deep = format!("{}v1.gap_m > 0{}", "(".repeat(50_000), ")".repeat(50_000));
     assert_refused(
-        &run_crumple(folder.path(), &["simulate", "paper-1", "--spec", &deep]),
+        &run_crumple(folder.path(), &format!("simulate paper-1 --spec '{deep}'")),
         "more than 4000 words and signs",
     );
     let nots = "not ".repeat(3000) + "v1.gap_m > 0";
-    assert_refused(&run_crumple(folder.path(), &["simulate", "paper-1", "--spec", &nots]), "more than 64");
+    assert_refused(&run_crumple(folder.path(), &format!("simulate paper-1 --spec '{nots}'")), "more than 64");
 }
 
 #[cfg(unix)]
 #[test]
 fn an_interrupted_assessment_names_the_command_to_resume() {
     let folder = temp_folder();
-    let arguments = ["assess", "--out", "report"];
-    let mut command = super::command(folder.path(), &arguments);
-    let child = command.stderr(std::process::Stdio::piped()).stdout(std::process::Stdio::null()).spawn().unwrap();
+    let arguments = "assess --out report";
+    let child = spawn(folder.path(), arguments);
     let kept = folder.path().join("report/evidence");
     // The handler is set once the folder exists.
     while !kept.exists() {
-        std::thread::sleep(std::time::Duration::from_millis(10));
+        sleep(Duration::from_millis(10));
     }
-    std::thread::sleep(std::time::Duration::from_millis(300));
+    sleep(Duration::from_millis(300));
     assert_refused(
-        &run_crumple(folder.path(), &arguments),
+        &run_crumple(folder.path(), arguments),
         "error: report/evidence: another assessment uses this folder",
     );
-    let interrupt = std::process::Command::new("kill").args(["-INT", &child.id().to_string()]).status().unwrap();
-    assert!(interrupt.success());
-    let ended = child.wait_with_output().unwrap();
-    assert_eq!(exit_code(&ended), 130, "{}", stderr(&ended));
     let text = "interrupted: the evidence computed so far is in report/evidence: the same command resumes";
-    assert!(stderr(&ended).contains(text), "{}", stderr(&ended));
+    assert_reports(&interrupt(child), 130, text);
 }

@@ -1,6 +1,6 @@
 //! Snapshots of printed text.
 
-use super::{run_ok, stdout, temp_folder};
+use super::*;
 
 #[test]
 fn printed_text_is_as_reviewed() {
@@ -12,7 +12,6 @@ fn printed_text_is_as_reviewed() {
         ("list", "list"),
     ];
     for (name, command) in commands {
-        let output = run_ok(folder.path(), &command.split(' ').collect::<Vec<_>>());
-        insta::assert_snapshot!(name, stdout(&output));
+        insta::assert_snapshot!(name, stdout(&run_ok(folder.path(), command)));
     }
 }

@@ -1,10 +1,8 @@
 //! `crumple assess` and `crumple import` on the command line.
 
 use crate::report::without_build_info;
-use std::fs;
-use std::path::Path;
 
-use super::{command, exit_code, file_names_in, run_crumple, stderr, stdout, temp_folder};
+use super::*;
 
 /// Returns a small platoon in the OpenACC format: the leader brakes from 20 to 11 m/s at 3 m/s².
 fn platoon_csv() -> String {
@@ -22,11 +20,10 @@ fn platoon_csv() -> String {
 fn an_imported_episode_can_be_simulated_and_assessed() {
     let folder = temp_folder();
     fs::write(folder.path().join("platoon.csv"), platoon_csv()).unwrap();
-    let imported = run_crumple(folder.path(), &["import", "platoon.csv", "--out", "episodes"]);
+    let imported = run_crumple(folder.path(), "import platoon.csv --out episodes");
     assert_eq!((exit_code(&imported), stdout(&imported)), (0, "platoon.csv: 1 scenario (openacc)\n"), "{imported:?}");
     let episode = &file_names_in(&folder.path().join("episodes"))[0];
-    let simulated = run_crumple(folder.path(), &["simulate", &format!("episodes/{episode}"), "--expect", "safe"]);
-    assert_eq!(exit_code(&simulated), 0, "{simulated:?}");
+    run_ok(folder.path(), &format!("simulate episodes/{episode} --expect safe"));
     let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\npaper = false\ndraws = 20\neveryday_draws = \
         4\nrates.runs = 200\nscenarios = [\"episodes\"]\n\
                   search = { spaces = [\"paper\"], budget = 20 }\n";
@@ -47,9 +44,7 @@ fn an_imported_episode_can_be_simulated_and_assessed() {
     ];
     for threads in ["1", "2"] {
         let out = format!("report-{threads}");
-        let output =
-            command(folder.path(), &["assess", "a.toml", "--out", &out]).env("RAYON_NUM_THREADS", threads).output();
-        assert_eq!(exit_code(&output.expect("starts")), 0);
+        assert_eq!(exit_code(&run_on_threads(folder.path(), threads, &format!("assess a.toml --out {out}"))), 0);
         assert_eq!(file_names_in(&folder.path().join(&out)), written);
     }
     for name in &written[..5] {
@@ -75,19 +70,17 @@ fn gates_decide_and_evidence_is_kept() {
         fs::write(folder.path().join("a.toml"), text).unwrap();
     };
     config(false, "");
-    let first = run_crumple(folder.path(), &["assess", "a.toml", "--out", "one"]);
-    assert_eq!(exit_code(&first), 0, "{first:?}");
-    let mut child = command(folder.path(), &["assess", "a.toml", "--out", "two"]).spawn().unwrap();
-    std::thread::sleep(std::time::Duration::from_millis(150));
+    run_ok(folder.path(), "assess a.toml --out one");
+    let mut child = command(folder.path(), "assess a.toml --out two").spawn().unwrap();
+    sleep(Duration::from_millis(150));
     child.kill().unwrap();
     child.wait().unwrap();
-    let again = run_crumple(folder.path(), &["assess", "a.toml", "--out", "two", "--against", "one/assessment.json"]);
-    assert_eq!(exit_code(&again), 0, "{again:?}");
-    assert!(stdout(&again).contains("0 better, 0 worse, 0 new, 0 gone"), "{again:?}");
+    let again = run_crumple(folder.path(), "assess a.toml --out two --against one/assessment.json");
+    assert_prints(&again, 0, &["0 better, 0 worse, 0 new, 0 gone"]);
     let mut pieces = fs::read_dir(folder.path().join("two/evidence")).unwrap().map(|entry| entry.unwrap().path());
     let piece = pieces.find(|path| path.extension().is_some_and(|extension| extension == "json")).unwrap();
     fs::write(&piece, "{").unwrap();
-    let third = run_crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
+    let third = run_crumple(folder.path(), "assess a.toml --out two");
     let name = piece.file_name().unwrap().to_string_lossy().into_owned();
     assert!(
         stderr(&third).contains(&format!("two/evidence/{name} was damaged, and its evidence was computed again")),
@@ -102,28 +95,23 @@ fn gates_decide_and_evidence_is_kept() {
 
     // `fsck` names a folder that is damaged or no run folder, and also reports the intact ones.
     fs::create_dir(folder.path().join("none")).unwrap();
-    let looked = run_crumple(folder.path(), &["fsck", "one", "none", "two"]);
-    assert_eq!((exit_code(&looked), stdout(&looked).lines().count()), (2, 3), "{looked:?}");
+    let looked = run_crumple(folder.path(), "fsck one none two");
+    assert_eq!((exit_code(&looked), stdout(&looked).lines().count()), (2, 2), "{looked:?}");
+    assert_eq!(stderr(&looked), "error: none: not a result folder: it contains no work.json\n");
+    let looked = run_crumple(folder.path(), "fsck nosuch");
+    let printed = (exit_code(&looked), stdout(&looked), stderr(&looked));
+    assert_eq!(printed, (2, "", "error: nosuch: there is no such folder\n"));
     fs::write(folder.path().join("one/assessment.md"), "").unwrap();
-    let looked = run_crumple(folder.path(), &["fsck", "one", "none", "two"]);
+    let looked = run_crumple(folder.path(), "fsck one none two");
     assert_eq!(stderr(&looked), "gate: damaged: one; unreadable: none\n");
 
     config(true, "[[gates]]\nrequire = \"no-contact-in-paper-scenarios\"\ncontroller = \"baseline\"\n");
-    let failed = run_crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
-    assert_eq!(exit_code(&failed), 1, "{failed:?}");
-    assert!(stderr(&failed).contains("gate: baseline: no collision in the paper's scenarios (it collides in paper-1"));
+    let failed = run_crumple(folder.path(), "assess a.toml --out two");
+    assert_reports(&failed, 1, "gate: baseline: no collision in the paper's scenarios (it collides in paper-1");
     assert!(stdout(&failed).ends_with("0 of 1 gates hold.\n"), "{failed:?}");
     config(false, "[[gates]]\nrequire = \"rate-not-above\"\ncontroller = \"policy\"\nthan = \"baseline\"\n");
-    let held = run_crumple(folder.path(), &["assess", "a.toml", "--out", "two"]);
-    assert_eq!(exit_code(&held), 0, "{held:?}");
+    let held = run_ok(folder.path(), "assess a.toml --out two");
     assert!(stdout(&held).ends_with("The gate holds.\n"), "{held:?}");
-}
-
-fn assert_refused_with(folder: &Path, arguments: &[&str], expected: &str) {
-    let output = run_crumple(folder, arguments);
-    let first = stderr(&output).lines().next().unwrap_or_default().to_owned();
-    assert_eq!(exit_code(&output), 2, "{arguments:?}: {first}");
-    assert!(first.starts_with(expected), "{arguments:?}: {first}");
 }
 
 #[test]
@@ -142,7 +130,7 @@ fn a_bad_configuration_or_recording_is_named_and_nothing_is_written() {
         ("version = 1\ncertificates = [\"nowhere.json\"]\n", "error: a.toml:2: certificates[0]: nowhere.json: "),
         (
             "version = 1\n[[gates]]\nrequire = \"no-contact-in-traffic\"\ncontroller = \"idm\"\n",
-            "error: a.toml:2: gates[0]: `no-contact-in-traffic` is now called `no-collision-in-scenario-files`",
+            "error: a.toml:3: gates[0].require: `no-contact-in-traffic` is now called `no-collision-in-scenario-files`",
         ),
         (
             "version = 1\n[[gates]]\nrequire = \"proofs-accepted\"\n[[gates]]\nrequire = \"proofs-accepted\"\nspeed = \
@@ -153,14 +141,17 @@ fn a_bad_configuration_or_recording_is_named_and_nothing_is_written() {
     ];
     for (config, expected) in cases {
         fs::write(folder.path().join("a.toml"), config).unwrap();
-        assert_refused_with(folder.path(), &["assess", "a.toml", "--out", "report"], expected);
+        assert_refused(&run_crumple(folder.path(), "assess a.toml --out report"), expected);
     }
+    fs::write(folder.path().join("a.toml"), "version = 1\n[[gates]]\nrequire = \"luck\"\n").unwrap();
+    let listed = run_crumple(folder.path(), "assess a.toml --out report");
+    assert!(!stderr(&listed).contains("no-contact-in-traffic"), "{}", stderr(&listed));
     let truncated = platoon_csv();
     fs::write(folder.path().join("cut.csv"), &truncated[..truncated.len() - 12]).unwrap();
     fs::write(folder.path().join("empty.csv"), "").unwrap();
-    assert_refused_with(folder.path(), &["import", "cut.csv", "--out", "episodes"], "error: cut.csv:156: ");
-    assert_refused_with(folder.path(), &["import", "empty.csv", "--out", "episodes"], "error: empty.csv: ");
-    assert_refused_with(folder.path(), &["import", "missing.csv", "--out", "episodes"], "error: missing.csv: ");
-    assert_refused_with(folder.path(), &["import", "cut.csv", "--min-brake", "-1"], "error: --min-brake: ");
+    assert_refused(&run_crumple(folder.path(), "import cut.csv --out episodes"), "error: cut.csv:156: ");
+    assert_refused(&run_crumple(folder.path(), "import empty.csv --out episodes"), "error: empty.csv: ");
+    assert_refused(&run_crumple(folder.path(), "import missing.csv --out episodes"), "error: missing.csv: ");
+    assert_refused(&run_crumple(folder.path(), "import cut.csv --min-brake -1"), "error: --min-brake: ");
     assert_eq!(file_names_in(folder.path()), ["a.toml", "cut.csv", "empty.csv"], "nothing was written");
 }

@@ -1,47 +1,12 @@
 //! `crumple retrain`: output files, and resumption after a kill.
 
-use std::fs;
-use std::path::Path;
+use super::*;
 
-use serde_json::Value;
-
-use super::falsify::assert_same_folders;
-use super::{
-    assert_refused, command, exit_code, json_objects, kill_at_random_times, run_crumple, stderr, stdout, temp_folder,
-};
-use crate::tiny;
-
-const RETRAIN_ARGS: [&str; 22] = [
-    "retrain",
-    "--preset",
-    "tiny.toml",
-    "--rounds",
-    "2",
-    "--episodes",
-    "25",
-    "--budget",
-    "12",
-    "--draws",
-    "15",
-    "--kept-aside",
-    "8",
-    "--nominal",
-    "10",
-    "--judge",
-    "12",
-    "--regression-draws",
-    "10",
-    "--seed",
-    "3",
-    "--out",
-];
-
-fn retrain_args<'a>(out: &'a str, more: &[&'a str]) -> Vec<&'a str> {
-    [&RETRAIN_ARGS[..], &[out], more].concat()
-}
+const RETRAIN_ARGS: &str = "retrain --preset tiny.toml --rounds 2 --episodes 25 --budget 12 --draws 15 --kept-aside 8 \
+    --nominal 10 --judge 12 --regression-draws 10 --seed 3";
 
 fn file_sha256(path: &Path) -> String {
-    crumple_core::digest::sha256(fs::read(path).unwrap())
+    sha256(fs::read(path).unwrap())
 }
 
 mod tier_2 {
@@ -54,10 +19,8 @@ mod tier_2 {
         // The preset's scenario spaces are not used, and the report does not mention them.
         let traffic = "[[spaces]]\nspace = \"traffic\"\nweight = 1\ncosts_times = 100\n";
         fs::write(folder.path().join("tiny.toml"), format!("{}\n{traffic}", tiny::retraining())).unwrap();
-        let through = command(folder.path(), &retrain_args("through", &["--format", "json"]))
-            .env("RAYON_NUM_THREADS", "1")
-            .output()
-            .unwrap();
+        let json = format!("{RETRAIN_ARGS} --format json");
+        let through = assert_survives_kills(folder.path(), &json, (0..6).map(|attempt| 20..300 + 200 * attempt));
         check_report(&folder.path().join("through"), &json_objects(&through)[0]);
         for round in ["01", "02"] {
             let path = folder.path().join("through/rounds").join(round).join("candidate.safetensors");
@@ -67,36 +30,24 @@ mod tier_2 {
         }
         let plan = fs::read_to_string(folder.path().join("through/retrain.toml")).unwrap();
         assert!(!plan.contains("costs_times"), "{plan}");
-        let resume = retrain_args("killed", &["--format", "json", "--resume"]);
-        let killed = kill_at_random_times(folder.path(), &resume, (0..6).map(|attempt| 20..300 + 200 * attempt));
-        assert!(killed >= 2, "killed {killed} times");
-        let ended = command(folder.path(), &resume).env("RAYON_NUM_THREADS", "3").output().unwrap();
-        assert_eq!((exit_code(&ended), stdout(&ended)), (exit_code(&through), stdout(&through)), "{}", stderr(&ended));
-        assert_same_folders(&folder.path().join("through"), &folder.path().join("killed"));
-        let again = run_crumple(folder.path(), &retrain_args("killed", &[]));
+        let again = run_crumple(folder.path(), &format!("{RETRAIN_ARGS} --out killed"));
         assert_eq!(exit_code(&again), 2, "an existing retraining is not overwritten");
-        let other = run_crumple(
-            folder.path(),
-            &retrain_args("killed", &["--resume", "--policy", "through/rounds/01/before.safetensors"]),
-        );
+        let policy = "--policy through/rounds/01/before.safetensors";
+        let other = run_crumple(folder.path(), &format!("{RETRAIN_ARGS} --out killed --resume {policy}"));
         assert_refused(&other, "the retraining there has a different `policy`: \"policy\" instead of \"through/");
-        let read = run_crumple(folder.path(), &resume);
+        let read = run_crumple(folder.path(), &format!("{json} --out killed --resume"));
         assert_eq!(
             (exit_code(&read), stdout(&read)),
             (exit_code(&through), stdout(&through)),
             "a complete one is read"
         );
-        let whole = run_crumple(folder.path(), &["fsck", "killed"]);
+        let whole = run_crumple(folder.path(), "fsck killed");
         assert!(exit_code(&whole) == 0 && !stdout(&whole).contains("not part of these results"), "{}", stdout(&whole));
         fs::write(folder.path().join("killed/rounds/01/search/mine.txt"), "of somebody").unwrap();
         fs::create_dir(folder.path().join("killed/rounds/001")).unwrap();
-        let looked = run_crumple(folder.path(), &["fsck", "killed"]);
+        let looked = run_crumple(folder.path(), "fsck killed");
         for stranger in ["rounds/01/search/mine.txt", "rounds/001"] {
-            assert!(
-                stdout(&looked).contains(&format!("  {stranger}: not part of these results")),
-                "{}",
-                stdout(&looked)
-            );
+            assert_contains(stdout(&looked), &[&format!("  {stranger}: not part of these results")]);
         }
     }
 }
@@ -145,35 +96,31 @@ fn check_report(folder: &Path, report: &Value) {
 #[test]
 fn mistakes_are_reported_before_anything_is_written() {
     let folder = temp_folder();
-    let retrain = |arguments: &[&str]| {
-        let output = run_crumple(folder.path(), &[&["retrain"], arguments].concat());
+    let retrain = |arguments: &str| {
+        let output = run_crumple(folder.path(), &format!("retrain {arguments}"));
         assert_eq!((exit_code(&output), stdout(&output)), (2, ""));
         stderr(&output).to_owned()
     };
-    assert!(retrain(&["--policy", "idm"]).contains("--policy: `idm` cannot be retrained"));
-    assert!(retrain(&["--policy", "shield:policy"]).contains("cannot be retrained"));
+    assert!(retrain("--policy idm").contains("--policy: `idm` cannot be retrained"));
+    assert!(retrain("--policy shield:policy").contains("cannot be retrained"));
     fs::write(folder.path().join("lists.toml"), "version = 1\nname = \"x\"\nepisodes = 1\nenvironment = [1, 2]\n")
         .unwrap();
-    assert!(retrain(&["--preset", "lists.toml"]).starts_with("error: lists.toml:4: environment: "));
+    assert!(retrain("--preset lists.toml").starts_with("error: lists.toml:4: environment: "));
     fs::remove_file(folder.path().join("lists.toml")).unwrap();
-    let unknown = "there is no preset `slow`, and no such file; there are retrain, fast, paper, paper-net, road";
-    assert!(retrain(&["--preset", "slow"]).contains(unknown));
     let nowhere = format!("{}\n[[spaces]]\nspace = \"nowhere\"\nweight = 1\n", tiny::retraining());
     fs::write(folder.path().join("own.toml"), &nowhere).unwrap();
     let expected = format!("error: own.toml:{}: spaces[0].space: `nowhere` is neither", nowhere.lines().count() - 1);
-    assert!(retrain(&["--preset", "own.toml"]).starts_with(&expected), "{expected}");
+    assert!(retrain("--preset own.toml").starts_with(&expected), "{expected}");
     fs::remove_file(folder.path().join("own.toml")).unwrap();
-    assert!(retrain(&["--space", ""]).contains("the name of the scenario space is empty"));
-    assert!(retrain(&["--space", "nowhere"]).contains("neither a built-in space (paper, high-risk, traffic, "));
+    assert!(retrain("--space ''").contains("the name of the scenario space is empty"));
+    assert!(retrain("--space nowhere").contains("neither a built-in space (paper, high-risk, traffic, "));
     // A network trained with another scaling would misread its inputs.
     let differ = "and the training preset `road` differ in the observation or its scaling";
-    assert!(retrain(&["--preset", "road"]).contains(differ));
+    assert!(retrain("--preset road").contains(differ));
     let road = format!("{}/corpora/policy/road.safetensors", env!("CARGO_MANIFEST_DIR"));
-    assert!(retrain(&["--policy", &road]).contains("and the training preset `retrain` differ in"));
-    assert!(
-        retrain(&["--regression", "none", "--regression", "paper"]).contains("`none` cannot be combined with spaces")
-    );
-    assert!(retrain(&["--regression", "paper", "--regression", "paper"]).contains("two spaces have the name `paper`"));
-    assert!(retrain(&["--regression", "nowhere"]).contains("--regression: `nowhere` is neither"));
+    assert!(retrain(&format!("--policy '{road}'")).contains("and the training preset `retrain` differ in"));
+    assert!(retrain("--regression none --regression paper").contains("`none` cannot be combined with spaces"));
+    assert!(retrain("--regression paper --regression paper").contains("two spaces have the name `paper`"));
+    assert!(retrain("--regression nowhere").contains("--regression: `nowhere` is neither"));
     assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
 }

@@ -1,49 +1,48 @@
 //! Shell completions, manual pages and `doctor`.
 
-use std::fs;
-
 use super::*;
 
 #[test]
 fn pages_and_completions_know_every_command() {
     let folder = temp_folder();
-    let commands = listed_subcommands(&run_crumple(folder.path(), &["--help"]));
+    let commands = listed_subcommands(&run_crumple(folder.path(), "--help"));
     assert!(commands.len() > 15, "{commands:?}");
-    run_ok(folder.path(), &["man", "--out", "man"]);
+    run_ok(folder.path(), "man --out man");
     for command in &commands {
         let page = fs::read_to_string(folder.path().join(format!("man/crumple-{command}.1"))).unwrap();
         assert!(page.contains(".SH SYNOPSIS") && page.contains("130  interrupted"), "{command}");
     }
     assert!(folder.path().join("man/crumple-verify-rate.1").exists());
     // The synopsis is the usage of `--help`: required options without brackets, with their values.
-    for words in [&["suite", "run"][..], &["suite", "map"], &["verify", "rate"], &["merge"], &["simulate"]] {
-        let help = run_crumple(folder.path(), &[words, &["--help"]].concat());
+    for words in ["suite run", "suite map", "verify rate", "merge", "simulate"] {
+        let help = run_crumple(folder.path(), &format!("{words} --help"));
         let usage = stdout(&help).lines().find_map(|line| line.strip_prefix("Usage: ")).expect("a usage").to_owned();
-        let page = fs::read_to_string(folder.path().join(format!("man/crumple-{}.1", words.join("-")))).unwrap();
+        let page =
+            fs::read_to_string(folder.path().join(format!("man/crumple-{}.1", words.replace(' ', "-")))).unwrap();
         let synopsis = page.split(".SH SYNOPSIS\n").nth(1).unwrap().split("\n.SH").next().unwrap();
         let plain = synopsis.replace("\\fB", "").replace("\\fR", "").replace("\\fI", "").replace("\\-", "-");
         assert_eq!(plain.split_whitespace().collect::<Vec<_>>(), usage.split_whitespace().collect::<Vec<_>>());
     }
     for shell in ["bash", "zsh", "fish", "powershell", "elvish"] {
-        let script = run_ok(folder.path(), &["completions", shell]);
+        let script = run_ok(folder.path(), &format!("completions {shell}"));
         let missing: Vec<_> = commands.iter().filter(|command| !stdout(&script).contains(*command)).collect();
         assert!(missing.is_empty(), "{shell}: {missing:?}");
     }
-    assert_refused(&run_crumple(folder.path(), &["completions", "tcsh"]), "invalid value 'tcsh'");
+    assert_refused(&run_crumple(folder.path(), "completions tcsh"), "invalid value 'tcsh'");
 }
 
 /// An empty `PATH` is no error.
 #[test]
 fn doctor_names_missing_programs() {
     let folder = temp_folder();
-    let output = command(folder.path(), &["doctor", "--format", "json"]).env("PATH", "/nowhere").output().unwrap();
+    let output = command(folder.path(), "doctor --format json").env("PATH", "/nowhere").output().unwrap();
     assert_eq!(exit_code(&output), 0, "{}", stderr(&output));
     let report = &json_objects(&output)[0];
     // The first is crumple's FMU host, next to the program.
     assert!(report["needs"].as_array().unwrap().iter().skip(1).all(|need| need["found"].is_null()));
     assert!(report["fused_multiply_add"].is_boolean());
     assert!(report["register_bits"].as_u64().unwrap() >= 64 && report["threads"].as_u64().unwrap() >= 1);
-    let text = run_crumple(folder.path(), &["doctor"]);
+    let text = run_crumple(folder.path(), "doctor");
     assert!(stdout(&text).contains("hyperqueue") && stdout(&text).starts_with("crumple 0."), "{}", stdout(&text));
 }
 
@@ -51,49 +50,43 @@ fn doctor_names_missing_programs() {
 #[test]
 fn built_in_items_are_shown_as_files() {
     let folder = temp_folder();
-    let show = |arguments: &[&str]| {
-        let shown = run_ok(folder.path(), &[&["show"], arguments].concat());
+    let show = |arguments: &str| {
+        let shown = run_ok(folder.path(), &format!("show {arguments}"));
         fs::write(folder.path().join("mine.toml"), stdout(&shown)).unwrap();
         stdout(&shown).to_owned()
     };
-    let runs = |arguments: &[&str]| {
+    let runs = |arguments: &str| {
         let run = run_crumple(folder.path(), arguments);
         assert_eq!(exit_code(&run), 0, "{arguments:?}: {}", stderr(&run));
         stdout(&run).to_owned()
     };
-    show(&["paper-1"]);
-    assert_eq!(runs(&["simulate", "mine.toml"]), runs(&["simulate", "paper-1"]));
-    show(&["traffic"]);
-    runs(&["verify", "rate", "--controller", "idm", "--space", "mine.toml", "--runs", "5", "--out", "rate"]);
-    show(&["fast"]);
-    let trained = run_crumple(
-        folder.path(),
-        &["train", "--preset", "mine.toml", "--seed", "1", "--episodes", "1", "--out", "runs"],
-    );
+    show("paper-1");
+    assert_eq!(runs("simulate mine.toml"), runs("simulate paper-1"));
+    show("traffic");
+    runs("verify rate --controller idm --space mine.toml --runs 5 --out rate");
+    show("fast");
+    let trained = run_crumple(folder.path(), "train --preset mine.toml --seed 1 --episodes 1 --out runs");
     assert_ne!(exit_code(&trained), 2, "{}", stderr(&trained));
-    show(&["un-r152"]);
-    assert_eq!(
-        runs(&["suite", "run", "mine.toml", "--controller", "idm"]),
-        runs(&["suite", "run", "un-r152", "--controller", "idm"])
-    );
-    show(&["openacc"]);
+    show("un-r152");
+    assert_eq!(runs("suite run mine.toml --controller idm"), runs("suite run un-r152 --controller idm"));
+    show("openacc");
     let recording = concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/recordings/synthetic-platoon.csv");
-    runs(&["import", recording, "--map", "mine.toml"]);
-    show(&["paper-2", "--kind", "box"]);
-    let reached = run_crumple(folder.path(), &["verify", "reach", "--box", "mine.toml", "--depth", "0"]);
+    runs(&format!("import '{recording}' --map mine.toml"));
+    show("paper-2 --kind box");
+    let reached = run_crumple(folder.path(), "verify reach --box mine.toml --depth 0");
     assert_ne!(exit_code(&reached), 2, "{}", stderr(&reached));
-    let vehicle = show(&["heavy"]);
+    let vehicle = show("heavy");
     let head = "version = 1\nname = \"two\"\nduration_s = 1.0\n[[vehicles]]\nclass = \"light\"\nposition_m = \
         50.0\nspeed_mps = 0.0\n\
                 driver.constant-speed = {}\n";
     fs::write(folder.path().join("two.toml"), format!("{head}{vehicle}")).unwrap();
-    runs(&["simulate", "two.toml", "--expect", "safe"]);
+    runs("simulate two.toml --expect safe");
 
-    let shown = run_crumple(folder.path(), &["show", "paper"]);
+    let shown = run_crumple(folder.path(), "show paper");
     assert!(stdout(&shown).contains("[[parameters]]") && stderr(&shown).contains("--kind preset"), "{shown:?}");
-    assert!(show(&["paper", "--kind", "preset"]).contains("actor_rate"));
-    assert!(show(&["retrain"]).contains("[td3]"));
-    let unknown = run_crumple(folder.path(), &["show", "paper-4"]);
+    assert!(show("paper --kind preset").contains("actor_rate"));
+    assert!(show("retrain").contains("[td3]"));
+    let unknown = run_crumple(folder.path(), "show paper-4");
     assert_refused(
         &unknown,
         "there is no built-in file `paper-4`. Names: scenario: paper-1, paper-2, paper-3; space: paper,",

@@ -1,36 +1,24 @@
 //! `crumple train`: output files, and resumption after a kill.
 
-use std::fs;
-use std::path::Path;
-use std::process::{Command, Stdio};
-use std::thread::sleep;
-use std::time::{Duration, Instant};
+use std::time::Instant;
 
-use super::{
-    assert_refused, exit_code, file_names_in, run_crumple, run_ok, stderr, stdout, temp_folder, write_with_replacements,
-};
-use crate::tiny;
+use super::*;
 
-const SEED_FILES: [&str; 3] = ["policy.safetensors", "log.jsonl", "checkpoint.safetensors"];
-
-fn read_seed_files(folder: &Path, out: &str, seed: u64) -> [Vec<u8>; 3] {
-    SEED_FILES.map(|name| fs::read(folder.join(out).join(format!("seed-{seed}")).join(name)).unwrap())
+fn assert_same_seed_files(folder: &Path, runs: [&str; 2], seed: u64) {
+    for name in ["policy.safetensors", "log.jsonl", "checkpoint.safetensors"] {
+        let [one, other] = runs.map(|out| fs::read(folder.join(out).join(format!("seed-{seed}/{name}"))).unwrap());
+        assert!(one == other, "{runs:?}, seed {seed}: {name}");
+    }
 }
 
 #[test]
 fn a_killed_training_goes_on_to_the_same_bytes() {
     let folder = temp_folder();
     fs::write(folder.path().join("tiny.toml"), tiny::training()).unwrap();
-    let train = |out| ["train", "--preset", "tiny.toml", "--seeds", "2", "--episodes", "45", "--out", out];
+    let train = |out| format!("train --preset tiny.toml --seeds 2 --episodes 45 --out {out}");
     let through = run_ok(folder.path(), &train("through"));
     assert!(stdout(&through).starts_with("  seed"));
-    let mut child = Command::new(env!("CARGO_BIN_EXE_crumple"))
-        .args(train("killed"))
-        .current_dir(folder.path())
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
+    let mut child = spawn(folder.path(), &train("killed"));
     let checkpoint = folder.path().join("killed/seed-0/checkpoint.safetensors");
     let begun = Instant::now();
     while !checkpoint.exists() && begun.elapsed() < Duration::from_secs(60) {
@@ -40,18 +28,10 @@ fn a_killed_training_goes_on_to_the_same_bytes() {
     child.wait().unwrap();
     let again = run_crumple(folder.path(), &train("killed"));
     assert_eq!(exit_code(&again), 2, "an existing training is not overwritten");
-    let resumed = run_ok(folder.path(), &[train("killed").as_slice(), &["--resume"]].concat());
+    let resumed = run_ok(folder.path(), &format!("{} --resume", train("killed")));
     assert_eq!(stdout(&resumed), stdout(&through));
     for seed in 0..2 {
-        for (name, (through, killed)) in
-            SEED_FILES.iter().zip(read_seed_files(folder.path(), "through", seed).into_iter().zip(read_seed_files(
-                folder.path(),
-                "killed",
-                seed,
-            )))
-        {
-            assert!(through == killed, "seed {seed}: {name}");
-        }
+        assert_same_seed_files(folder.path(), ["through", "killed"], seed);
     }
 }
 
@@ -59,29 +39,25 @@ fn a_killed_training_goes_on_to_the_same_bytes() {
 #[test]
 fn a_training_that_is_made_longer_is_one_that_was_as_long_from_the_start() {
     let folder = temp_folder();
-    let preset = tiny::replace_passages(&tiny::training(), &[("every_episodes = 1", "every_episodes = 3")]);
+    let preset = replace_passages(&tiny::training(), &[("every_episodes = 1", "every_episodes = 3")]);
     fs::write(folder.path().join("tiny.toml"), preset).unwrap();
-    let train = |out: &str, episodes: &str, more: &[&str]| {
-        let common = ["train", "--preset", "tiny.toml", "--seed", "4", "--episodes", episodes, "--out", out];
-        let trained = run_crumple(folder.path(), &[&common, more].concat());
+    let train = |out: &str, episodes: &str, more: &str| {
+        let common = format!("train --preset tiny.toml --seed 4 --episodes {episodes} --out {out}");
+        let trained = run_crumple(folder.path(), &format!("{common} {more}"));
         assert!([0, 1].contains(&exit_code(&trained)), "{}", stderr(&trained));
     };
-    train("straight", "14", &[]);
+    train("straight", "14", "");
     // Ends immediately, before learning starts, after an evaluation and between two.
     for (out, ends) in [("short", ["2", "3"]), ("longer", ["6", "11"])] {
-        train(out, ends[0], &[]);
+        train(out, ends[0], "");
         let log = fs::read_to_string(folder.path().join(out).join("seed-4/log.jsonl")).unwrap();
         let last = log.lines().last().unwrap();
         let is_of_the_end = last.contains("evaluation") && last.contains(&format!("\"episode\":{}", ends[0]));
         assert!(is_of_the_end, "its end is judged: {last}");
         for episodes in [ends[1], "14"] {
-            train(out, episodes, &["--resume"]);
+            train(out, episodes, "--resume");
         }
-        let both =
-            read_seed_files(folder.path(), "straight", 4).into_iter().zip(read_seed_files(folder.path(), out, 4));
-        for (name, (straight, longer)) in SEED_FILES.iter().zip(both) {
-            assert!(straight == longer, "{out}: {name}");
-        }
+        assert_same_seed_files(folder.path(), ["straight", out], 4);
     }
 }
 
@@ -90,17 +66,14 @@ fn a_training_that_is_made_longer_is_one_that_was_as_long_from_the_start() {
 fn seeds_are_gathered_and_trainings_of_another_kind_are_not_mixed_with_them() {
     let folder = temp_folder();
     fs::write(folder.path().join("tiny.toml"), tiny::training()).unwrap();
-    let train = |more: &[&str]| {
-        let common = ["train", "--preset", "tiny.toml", "--episodes", "12", "--out", "run"];
-        run_crumple(folder.path(), &[&common, more].concat())
+    let train = |more: &str| {
+        let common = "train --preset tiny.toml --episodes 12 --out run";
+        run_crumple(folder.path(), &format!("{common} {more}"))
     };
-    let json = || {
-        serde_json::from_slice::<serde_json::Value>(&fs::read(folder.path().join("run/training.json")).unwrap())
-            .unwrap()
-    };
-    assert_eq!(exit_code(&train(&["--seed", "5"])), 0);
+    let json = || read_json(&folder.path().join("run/training.json"));
+    assert_eq!(exit_code(&train("--seed 5")), 0);
     let alone = json();
-    assert_eq!(exit_code(&train(&["--seed", "4"])), 0);
+    assert_eq!(exit_code(&train("--seed 4")), 0);
     let both = json();
     let seeds: Vec<_> = both["seeds"].as_array().unwrap().iter().map(|seed| seed["seed"].as_u64().unwrap()).collect();
     assert_eq!(seeds, [4, 5]);
@@ -112,23 +85,18 @@ fn seeds_are_gathered_and_trainings_of_another_kind_are_not_mixed_with_them() {
     for name in file_names_in(&folder.path().join("run/seed-4")) {
         fs::copy(folder.path().join("run/seed-4").join(&name), folder.path().join("run/seed-04").join(&name)).unwrap();
     }
-    assert_eq!(exit_code(&train(&["--seed", "4", "--resume"])), 0);
+    assert_eq!(exit_code(&train("--seed 4 --resume")), 0);
     assert_eq!(json()["seeds"], both["seeds"]);
-    write_with_replacements(
-        &folder.path().join("other.toml"),
-        &fs::read_to_string(folder.path().join("tiny.toml")).unwrap(),
-        &[("batch = 8", "batch = 9")],
-    );
-    let other = run_crumple(folder.path(), &["train", "--preset", "other.toml", "--seed", "7", "--out", "run"]);
+    let other = replace_passages(&tiny::training(), &[("batch = 8", "batch = 9")]);
+    fs::write(folder.path().join("other.toml"), other).unwrap();
+    let other = run_crumple(folder.path(), "train --preset other.toml --seed 7 --out run");
     assert_refused(
         &other,
         "run/seed-4/training.toml: the training there has a different `learning.batch`: 8 instead of 9",
     );
     assert!(!folder.path().join("run/seed-7").exists(), "nothing is begun");
     // `training.toml` in the folder is a preset that gives the same policy.
-    let again =
-        run_crumple(folder.path(), &["train", "--preset", "run/seed-5/training.toml", "--seed", "5", "--out", "again"]);
-    assert_eq!(exit_code(&again), 0, "{}", stderr(&again));
+    run_ok(folder.path(), "train --preset run/seed-5/training.toml --seed 5 --out again");
     let policy = |run: &str| fs::read(folder.path().join(run).join("seed-5/policy.safetensors")).unwrap();
     assert!(policy("run") == policy("again"));
 }
@@ -144,13 +112,12 @@ fn episodes_are_drawn_from_spaces_by_name_and_file() {
          \"environment.friction\"\nunit = \"1\"\ndistribution.uniform = { low = 0.5, high = 1.0 }\n",
     )
     .unwrap();
-    let train = |out: &str, spaces: &[&str]| {
-        let common = ["train", "--preset", "tiny.toml", "--episodes", "6", "--seed", "4", "--out", out];
-        let spaces = spaces.iter().flat_map(|space| ["--space", space]);
-        run_crumple(folder.path(), &common.into_iter().chain(spaces).collect::<Vec<_>>())
+    let train = |out: &str, spaces: &str| {
+        let common = "train --preset tiny.toml --episodes 6 --seed 4";
+        run_crumple(folder.path(), &format!("{common} --out {out} {spaces}"))
     };
-    let of_paper = train("paper", &[]);
-    let of_spaces = train("spaces", &["wet.toml=3", "steady"]);
+    let of_paper = train("paper", "");
+    let of_spaces = train("spaces", "--space wet.toml=3 --space steady");
     assert!([0, 1].contains(&exit_code(&of_spaces)), "{}", stderr(&of_spaces));
     assert!([0, 1].contains(&exit_code(&of_paper)), "{}", stderr(&of_paper));
     let text = fs::read_to_string(folder.path().join("spaces/seed-4/training.toml")).unwrap();
@@ -165,11 +132,11 @@ fn episodes_are_drawn_from_spaces_by_name_and_file() {
         ("=1", "'=1' for '--space <S[=WEIGHT]>': the name of the scenario space is empty"),
         ("paper-3.toml", "paper-3.toml"),
     ] {
-        assert_refused(&train("refused", &[space]), reason);
+        assert_refused(&train("refused", &format!("--space '{space}'")), reason);
         assert!(!folder.path().join("refused").exists());
     }
     let doubled = "error: --space traffic: `traffic` is named twice: give it one weight";
-    assert_refused(&train("refused", &["traffic=0.5", "steady", "traffic=0.5"]), doubled);
+    assert_refused(&train("refused", "--space traffic=0.5 --space steady --space traffic=0.5"), doubled);
     assert!(!folder.path().join("refused").exists());
 }
 
@@ -177,19 +144,18 @@ fn episodes_are_drawn_from_spaces_by_name_and_file() {
 #[test]
 fn a_failed_training_writes_no_policy_and_exits_with_an_error() {
     let folder = temp_folder();
-    let still = tiny::replace_passages(
+    let still = replace_passages(
         &tiny::training(),
         &[("actor_rate = 1e-4", "actor_rate = 0.0"), ("critic_rate = 1e-3", "critic_rate = 0.0")],
     );
     fs::write(folder.path().join("still.toml"), still).unwrap();
-    let train = ["train", "--preset", "still.toml", "--episodes", "6", "--out", "run"];
-    let trained = run_crumple(folder.path(), &train);
-    assert_eq!(exit_code(&trained), 1, "{}", stderr(&trained));
-    assert!(stderr(&trained).contains("no checkpoint was better than the untrained network"), "{}", stderr(&trained));
+    let train = "train --preset still.toml --episodes 6 --out run";
+    let trained = run_crumple(folder.path(), train);
+    assert_reports(&trained, 1, "no checkpoint was better than the untrained network");
     assert!(stdout(&trained).contains("none: nothing learned"), "{}", stdout(&trained));
     let seed = folder.path().join("run/seed-0");
     assert!(!seed.join("policy.safetensors").exists() && seed.join("result.json").exists());
-    let again = run_crumple(folder.path(), &[&train[..], &["--resume"]].concat());
+    let again = run_crumple(folder.path(), &format!("{train} --resume"));
     assert_eq!((exit_code(&again), stdout(&again)), (1, stdout(&trained)));
 }
 
@@ -197,13 +163,9 @@ fn a_failed_training_writes_no_policy_and_exits_with_an_error() {
 fn a_trained_policy_drives_and_a_damaged_one_is_refused() {
     let folder = temp_folder();
     fs::write(folder.path().join("tiny.toml"), tiny::training()).unwrap();
-    let trained = run_crumple(
-        folder.path(),
-        &["train", "--preset", "tiny.toml", "--seed", "4", "--episodes", "6", "--out", "run"],
-    );
-    assert_eq!(exit_code(&trained), 0, "{}", stderr(&trained));
+    run_ok(folder.path(), "train --preset tiny.toml --seed 4 --episodes 6 --out run");
     let policy = "run/seed-4/policy.safetensors";
-    let driven = run_ok(folder.path(), &["simulate", "paper-1", "paper-3", "--controller", policy]);
+    let driven = run_ok(folder.path(), &format!("simulate paper-1 paper-3 --controller {policy}"));
     assert!(stdout(&driven).starts_with(&format!("paper-1: {policy}, estimator kalman")));
     for name in ["training.json", "learning-curve.svg"] {
         assert!(folder.path().join("run").join(name).exists(), "{name}");
@@ -211,28 +173,19 @@ fn a_trained_policy_drives_and_a_damaged_one_is_refused() {
     let bytes = fs::read(folder.path().join(policy)).unwrap();
     fs::write(folder.path().join("cut.safetensors"), &bytes[..bytes.len() - 9]).unwrap();
     for (file, reason) in [("cut.safetensors", "not a whole safetensors file"), ("none.safetensors", "No such file")] {
-        let refused = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", file]);
-        assert_refused(&refused, reason);
+        assert_refused(&run_crumple(folder.path(), &format!("simulate paper-1 --controller {file}")), reason);
     }
-    let names = "there are fast, paper, paper-net, road";
-    for (preset, reason) in [
-        ("slow", format!("there is no preset `slow`, and no such file; {names}")),
-        ("retrain", format!("no such file: it is the preset of `crumple retrain`; {names}")),
-        ("", "--preset: the name of the preset is empty".to_owned()),
-        (policy, format!("{policy}: is not a preset, but a policy")),
-    ] {
-        assert_refused(&run_crumple(folder.path(), &["train", "--preset", preset]), &reason);
-    }
+    let refused = run_crumple(folder.path(), &format!("train --preset {policy}"));
+    assert_refused(&refused, &format!("{policy}: is not a preset, but a policy"));
     // The error names the kind of the file, and the command that takes it.
     for (command, wanted) in [("describe", "is not an imported network"), ("check", "is not a certificate")] {
         let drives = "but a policy: use it with `crumple simulate paper-1 --controller FILE`";
-        let refused = run_crumple(folder.path(), &[command, policy]);
+        let refused = run_crumple(folder.path(), &format!("{command} {policy}"));
         assert_refused(&refused, &format!("error: {policy}: {wanted}, {drives}"));
-        let refused = run_crumple(folder.path(), &[command, "run/seed-4/checkpoint.safetensors"]);
+        let refused = run_crumple(folder.path(), &format!("{command} run/seed-4/checkpoint.safetensors"));
         assert_refused(&refused, &format!("{wanted}, but a checkpoint: resume it with `crumple train`"));
     }
-    let described = run_crumple(folder.path(), &["describe", "baseline"]);
+    let described = run_crumple(folder.path(), "describe baseline");
     assert_refused(&described, "baseline: is not an imported network, but a controller");
-    let checked = run_crumple(folder.path(), &["check", "none.safetensors"]);
-    assert_refused(&checked, "none.safetensors: No such file");
+    assert_refused(&run_crumple(folder.path(), "check none.safetensors"), "none.safetensors: No such file");
 }

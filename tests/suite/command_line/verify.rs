@@ -1,29 +1,22 @@
 //! `crumple verify` and shields on the command line.
 
-use std::path::Path;
-
 use crumple_world::scenario::VehicleClass;
-use serde_json::Value;
 
-use super::falsify::assert_same_folders;
-use super::{
-    assert_refused, command, exit_code, file_names_in, json_objects, kill_at_random_times, run_crumple, run_ok, stderr,
-    stdout, temp_folder,
-};
+use super::*;
 
 #[test]
 fn a_shield_reports_its_braking_and_the_effect_on_the_follower() {
     let folder = temp_folder();
-    let arguments = ["simulate", "paper-1", "--controller", "shield:full-throttle", "--estimator", "truth"];
-    let shielded = &json_objects(&run_crumple(folder.path(), &[&arguments[..], &["--format", "json"]].concat()))[0];
+    let arguments = "simulate paper-1 --controller shield:full-throttle --estimator truth";
+    let shielded = &json_objects(&run_crumple(folder.path(), &format!("{arguments} --format json")))[0];
     let first = &shielded["interventions"][0];
     assert_eq!((&first["vehicle"], &first["outside_kernel"]), (&1.into(), &false.into()), "{shielded}");
     assert!(first["to_s"].as_f64() > first["from_s"].as_f64());
     assert_eq!(shielded["outcome"]["rear_vehicle"], 2);
-    let text = run_crumple(folder.path(), &arguments);
+    let text = run_crumple(folder.path(), arguments);
     assert!(stdout(&text).contains("the shield of vehicle 1 braked"), "{}", stdout(&text));
-    let bare = ["simulate", "paper-1", "--controller", "full-throttle", "--estimator", "truth", "--format", "json"];
-    let bare = &json_objects(&run_crumple(folder.path(), &bare))[0];
+    let bare = "simulate paper-1 --controller full-throttle --estimator truth --format json";
+    let bare = &json_objects(&run_crumple(folder.path(), bare))[0];
     assert_eq!((&bare["outcome"]["rear_vehicle"], bare.get("interventions")), (&1.into(), None));
 }
 
@@ -36,8 +29,7 @@ fn shields_that_are_set_wrongly_or_cannot_vouch_are_refused() {
         ("shield,gap-error:idm", "`gap-error` is not a setting of a shield"),
         ("shield,colour=1:idm", "`colour=1` is not a setting of a shield"),
     ] {
-        let output = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", controller]);
-        assert_refused(&output, message);
+        assert_refused(&run_crumple(folder.path(), &format!("simulate paper-1 --controller {controller}")), message);
     }
 }
 
@@ -46,12 +38,12 @@ fn shields_that_are_set_wrongly_or_cannot_vouch_are_refused() {
 fn error_bounds_are_six_standard_deviations_and_nowhere_called_proved() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
     let folder = temp_folder();
-    let help = run_crumple(folder.path(), &["verify", "shield", "--help"]);
+    let help = run_crumple(folder.path(), "verify shield --help");
     let mut all = vec![("--help".to_owned(), stdout(&help).to_owned())];
-    let pages = std::fs::read_dir(root.join("docs")).unwrap().map(|entry| entry.unwrap().path());
+    let pages = fs::read_dir(root.join("docs")).unwrap().map(|entry| entry.unwrap().path());
     for path in pages.chain(["README.md", "reports/assessment.md"].map(|name| root.join(name))) {
         if path.extension().is_some_and(|extension| extension == "md") {
-            all.push((path.display().to_string(), std::fs::read_to_string(path).unwrap()));
+            all.push((path.display().to_string(), fs::read_to_string(path).unwrap()));
         }
     }
     for (name, text) in &mut all {
@@ -68,13 +60,13 @@ fn error_bounds_are_six_standard_deviations_and_nowhere_called_proved() {
 #[test]
 fn each_pair_of_classes_gets_a_certificate() {
     let folder = temp_folder();
-    let output = run_crumple(folder.path(), &["verify", "shield", "--out", "kernels"]);
+    let output = run_crumple(folder.path(), "verify shield --out kernels");
     let pairs = VehicleClass::ALL.len().pow(2);
     assert_eq!((exit_code(&output), stderr(&output)), (0, ""));
     assert_eq!(stdout(&output).lines().filter(|line| line.contains("accepted: kernel")).count(), pairs);
     let names = file_names_in(&folder.path().join("kernels"));
     assert_eq!(names.iter().filter(|name| name.ends_with(".json")).count(), pairs);
-    let text = std::fs::read_to_string(folder.path().join("kernels/light-behind-heavy.json")).unwrap();
+    let text = fs::read_to_string(folder.path().join("kernels/light-behind-heavy.json")).unwrap();
     let certificate: Value = serde_json::from_str(&text).unwrap();
     assert_eq!(certificate["statement"]["kernel"]["catching_up_squared"], "1/3");
 }
@@ -85,14 +77,14 @@ fn a_box_is_verified_for_programs_and_refused_by_line_and_field() {
     let folder = temp_folder();
     let write = |ranges: &str| {
         let text = format!("version = 1\nscenario = \"paper-1\"\n[ranges]\n{ranges}\n");
-        std::fs::write(folder.path().join("box.toml"), text).unwrap();
+        fs::write(folder.path().join("box.toml"), text).unwrap();
     };
-    let reach = |more: &[&str]| run_crumple(folder.path(), &[&["verify", "reach"], more].concat());
+    let reach = |more: &str| run_crumple(folder.path(), &format!("verify reach {more}"));
     write("follower_brake_mps2 = 25");
-    let verified = reach(&["--box", "box.toml", "--depth", "0", "--certificate", "r.json", "--format", "json"]);
+    let verified = reach("--box box.toml --depth 0 --certificate r.json --format json");
     assert_eq!(exit_code(&verified), 0, "{}", stderr(&verified));
     let found = json_objects(&verified).remove(0);
-    let checked = json_objects(&run_crumple(folder.path(), &["check", "r.json", "--format", "json"])).remove(0);
+    let checked = json_objects(&run_crumple(folder.path(), "check r.json --format json")).remove(0);
     for (ours, theirs) in [
         ("certificate", "certificate"),
         ("certificate_sha256", "sha256"),
@@ -118,43 +110,40 @@ fn a_box_is_verified_for_programs_and_refused_by_line_and_field() {
         ("gap_ahead_m = nan", "box.toml:4: ranges.gap_ahead_m: "),
     ] {
         write(ranges);
-        assert_refused(&reach(&["--box", "box.toml"]), message);
+        assert_refused(&reach("--box box.toml"), message);
     }
-    assert_refused(&reach(&["--box", "paper-3"]), "`paper-3` is neither a built-in box (paper-1, paper-2) nor a file");
+    assert_refused(&reach("--box paper-3"), "`paper-3` is neither a built-in box (paper-1, paper-2) nor a file");
 }
 
 #[test]
 fn a_rate_is_registered_counted_resumed_and_certified() {
     let folder = temp_folder();
-    let count = |more: &[&str]| {
-        let arguments = ["verify", "rate", "--controller", "idm", "--estimator", "truth", "--runs", "2500"];
-        run_crumple(folder.path(), &[&arguments[..], more].concat())
+    let count = |more: &str| {
+        let arguments = "verify rate --controller idm --estimator truth --runs 2500";
+        run_crumple(folder.path(), &format!("{arguments} {more}"))
     };
-    let whole = count(&["--out", "whole"]);
+    let whole = count("--out whole");
     assert_eq!(exit_code(&whole), 0, "{}", stderr(&whole));
     assert!(stderr(&whole).starts_with("registered as ") && stdout(&whole).starts_with("0 failures, of 2500 runs"));
-    let file = |path: &str| std::fs::read_to_string(folder.path().join(path)).unwrap();
+    let file = |path: &str| fs::read_to_string(folder.path().join(path)).unwrap();
     let certificate: Value = serde_json::from_str(&file("whole/certificate.json")).unwrap();
     let at_most = certificate["statement"]["rate"]["rate_at_most"].as_f64().unwrap();
     let exact = 1.0 - 0.001_f64.powf(1.0 / 2500.0);
     assert!((at_most / exact - 1.0).abs() < 1e-6, "{at_most} {exact}");
 
-    assert_eq!(exit_code(&count(&["--out", "whole"])), 2, "not without --resume");
-    assert_refused(
-        &count(&["--out", "whole", "--resume", "--seed", "1"]),
-        "the count there has a different `configuration.seed`: ",
-    );
-    let again = count(&["--out", "whole", "--resume"]);
+    assert_eq!(exit_code(&count("--out whole")), 2, "not without --resume");
+    assert_refused(&count("--out whole --resume --seed 1"), "the count there has a different `configuration.seed`: ");
+    let again = count("--out whole --resume");
     assert_eq!((exit_code(&again), stdout(&again)), (0, stdout(&whole)));
-    let fsck = run_crumple(folder.path(), &["fsck", "whole"]);
+    let fsck = run_crumple(folder.path(), "fsck whole");
     assert_eq!((exit_code(&fsck), stdout(&fsck)), (0, "whole: a count, complete; 3 of 3 files are intact\n"));
     for name in ["registration.json", "progress.json", "certificate.json", "work.json"] {
         let path = folder.path().join("whole").join(name);
-        let bytes = std::fs::read(&path).unwrap();
-        std::fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
-        assert_refused(&count(&["--out", "whole", "--resume"]), &format!("error: whole/{name}: "));
-        assert_ne!(exit_code(&run_crumple(folder.path(), &["fsck", "whole"])), 0, "{name}");
-        std::fs::write(&path, bytes).unwrap();
+        let bytes = fs::read(&path).unwrap();
+        fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
+        assert_refused(&count("--out whole --resume"), &format!("error: whole/{name}: "));
+        assert_ne!(exit_code(&run_crumple(folder.path(), "fsck whole")), 0, "{name}");
+        fs::write(&path, bytes).unwrap();
     }
 }
 
@@ -162,24 +151,24 @@ fn a_rate_is_registered_counted_resumed_and_certified() {
 fn two_controllers_are_compared_on_the_same_draws() {
     let folder = temp_folder();
     let compare = |first: &str, second: &str, out: &str| {
-        let arguments = ["verify", "rate", "--controller", first, "--against", second, "--runs", "300", "--out", out];
-        run_crumple(folder.path(), &arguments)
+        run_crumple(
+            folder.path(),
+            &format!("verify rate --controller {first} --against {second} --runs 300 --out {out}"),
+        )
     };
     let better = compare("match-leader", "baseline", "better");
-    assert_eq!(exit_code(&better), 0, "{}", stderr(&better));
-    assert!(stdout(&better).contains("accepted: comparison"), "{}", stdout(&better));
+    assert_prints(&better, 0, &["accepted: comparison"]);
     assert_eq!(exit_code(&compare("baseline", "match-leader", "worse")), 1);
 }
 
 #[test]
 fn a_rare_failure_is_estimated_and_never_certified() {
     let folder = temp_folder();
-    let estimate = |more: &[&str]| {
-        let arguments = ["verify", "rate", "--controller", "match-leader", "--rare", "--samples", "100"];
-        let arguments = [&arguments[..], &["--repetitions", "5", "--seed", "4", "--out", "rare"], more].concat();
-        run_crumple(folder.path(), &arguments)
+    let estimate = |more: &str| {
+        let effort = "--rare --samples 100 --repetitions 5 --seed 4";
+        run_crumple(folder.path(), &format!("verify rate --controller match-leader {effort} --out rare {more}"))
     };
-    let output = estimate(&["--format", "json"]);
+    let output = estimate("--format json");
     assert_eq!(exit_code(&output), 0, "{}", stderr(&output));
     let report = json_objects(&output).remove(0);
     assert_eq!((&report["certified"], &report["samples"]), (&false.into(), &100.into()));
@@ -191,72 +180,44 @@ fn a_rare_failure_is_estimated_and_never_certified() {
         ["rare-estimate.json", "work.json", "work.lock"],
         "no certificate"
     );
-    let written = std::fs::read_to_string(folder.path().join("rare/rare-estimate.json")).unwrap();
+    let written = fs::read_to_string(folder.path().join("rare/rare-estimate.json")).unwrap();
     assert_eq!(written.parse::<Value>().unwrap(), report);
     let levels = report["levels"].as_array().unwrap();
     assert!(levels.iter().all(|level| level["robustness"].is_f64() && level["robustness"] == level["smallest_gap_m"]));
-    assert_refused(&estimate(&[]), "rare already holds a rare-failure estimate: use --resume");
+    assert_refused(&estimate(""), "rare already holds a rare-failure estimate: use --resume");
     assert_refused(
-        &estimate(&["--resume", "--estimator", "truth"]),
+        &estimate("--resume --estimator truth"),
         "rare/rare-estimate.json: the rare-failure estimate there has a different configuration",
     );
-    let text = estimate(&["--resume"]);
-    assert!(stdout(&text).contains("neither a bound nor a certificate"), "{}", stdout(&text));
-    assert!(stdout(&text).contains("smallest gap") && stdout(&text).contains(" m "), "{}", stdout(&text));
-    let rule = run_ok(
-        folder.path(),
-        &["verify", "rate", "--controller", "idm", "--rare", "--samples", "50", "--repetitions", "5", "--out", "rule"]
-            .into_iter()
-            .chain(["--spec", "imposed braking at most 4 m/s2"])
-            .collect::<Vec<_>>(),
-    );
+    let passages = ["neither a bound nor a certificate", "smallest gap", " m "];
+    assert_contains(stdout(&estimate("--resume")), &passages);
+    let asked = "verify rate --controller idm --rare --samples 50 --repetitions 5 --out rule";
+    let rule = run_ok(folder.path(), &format!("{asked} --spec 'imposed braking at most 4 m/s2'"));
     let message = stdout(&rule);
-    assert!(
-        message.contains("robustness") && message.contains(" failure ") && !message.contains("contact"),
-        "{message}"
-    );
+    assert_contains(message, &["robustness", " failure "]);
+    assert!(!message.contains("contact"), "{message}");
     assert!(!message.contains("smallest gap"), "margins of a rule are no gaps: {message}");
-    let written = std::fs::read_to_string(folder.path().join("rule/rare-estimate.json")).unwrap();
+    let written = fs::read_to_string(folder.path().join("rule/rare-estimate.json")).unwrap();
     assert!(written.contains("\"robustness\"") && !written.contains("smallest_gap_m"), "{written}");
-    let fsck = || run_crumple(folder.path(), &["fsck", "rare"]);
-    assert!(
-        exit_code(&fsck()) == 0 && stdout(&fsck()).contains("rare: a rare-failure estimate, complete; 1 of 1 files")
-    );
-    std::fs::write(folder.path().join("rare/rare-estimate.json"), written.replace("\"seed\": 4", "\"seed\": 5"))
-        .unwrap();
-    assert_refused(&estimate(&["--resume"]), "rare/rare-estimate.json: has changed since it was written");
+    let fsck = || run_crumple(folder.path(), "fsck rare");
+    assert_prints(&fsck(), 0, &["rare: a rare-failure estimate, complete; 1 of 1 files"]);
+    fs::write(folder.path().join("rare/rare-estimate.json"), written.replace("\"seed\": 4", "\"seed\": 5")).unwrap();
+    assert_refused(&estimate("--resume"), "rare/rare-estimate.json: has changed since it was written");
     assert_eq!(exit_code(&fsck()), 1);
-    assert_eq!(exit_code(&estimate(&["--runs", "10"])), 2, "either counted or estimated");
-    assert_eq!(
-        exit_code(&run_crumple(folder.path(), &["verify", "rate", "--controller", "idm"])),
-        2,
-        "--runs is missing"
-    );
+    assert_eq!(exit_code(&estimate("--runs 10")), 2, "either counted or estimated");
+    assert_eq!(exit_code(&run_crumple(folder.path(), "verify rate --controller idm")), 2, "--runs is missing");
 }
 
 #[test]
 fn an_estimate_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_threads() {
     for method in ["--rare=splitting", "--rare=importance"] {
         let folder = temp_folder();
-        let asked =
-            ["verify", "rate", "--controller", "match-leader", method, "--samples", "100", "--repetitions", "12"];
-        let through = command(folder.path(), &[&asked[..], &["--out", "through"]].concat())
-            .env("RAYON_NUM_THREADS", "1")
-            .output()
-            .unwrap();
-        assert_eq!(exit_code(&through), 0, "{}", stderr(&through));
-        let resume = [&asked[..], &["--out", "killed", "--resume"]].concat();
-        let killed =
-            kill_at_random_times(folder.path(), &resume, (0..8).map(|round| 100 + 100 * round..300 + 150 * round));
-        assert!(killed >= 2, "killed {killed} times");
-        let other = [&asked[..], &["--out", "killed", "--resume", "--seed", "7"]].concat();
-        assert_refused(
-            &run_crumple(folder.path(), &other),
-            "the rare-failure estimate there has a different configuration",
-        );
-        let ended = command(folder.path(), &resume).env("RAYON_NUM_THREADS", "3").output().unwrap();
-        assert_eq!((exit_code(&ended), stdout(&ended)), (0, stdout(&through)), "{}", stderr(&ended));
-        assert_same_folders(&folder.path().join("through"), &folder.path().join("killed"));
+        let asked = format!("verify rate --controller match-leader {method} --samples 100 --repetitions 12");
+        let after_ms = (0..8).map(|round| 100 + 100 * round..300 + 150 * round);
+        let through = assert_survives_kills(folder.path(), &asked, after_ms);
+        assert_eq!(exit_code(&through), 0);
+        let other = run_crumple(folder.path(), &format!("{asked} --out killed --resume --seed 7"));
+        assert_refused(&other, "the rare-failure estimate there has a different configuration");
     }
 }
 
@@ -264,20 +225,20 @@ fn an_estimate_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_
 #[test]
 fn verification_results_are_machine_readable() {
     let folder = temp_folder();
-    let message = |arguments: &[&str]| {
+    let message = |arguments: &str| {
         let output = run_ok(folder.path(), arguments);
         json_objects(&output)
     };
-    let kernels = message(&["verify", "shield", "--out", "kernels", "--format", "json"]);
+    let kernels = message("verify shield --out kernels --format json");
     let names = file_names_in(&folder.path().join("kernels"));
     assert_eq!(kernels.len(), names.iter().filter(|name| name.ends_with(".json")).count());
     for kernel in &kernels {
         assert_eq!(kernel["accepted"], true);
-        let checked = &message(&["check", kernel["certificate"].as_str().unwrap(), "--format", "json"])[0];
+        let checked = &message(&format!("check {} --format json", kernel["certificate"].as_str().unwrap()))[0];
         assert_eq!(kernel, checked);
     }
-    let rate = ["verify", "rate", "--controller", "idm", "--estimator", "truth", "--runs", "300", "--format", "json"];
-    let one = &message(&[&rate[..], &["--out", "rate", "--confidence", "0.99"]].concat())[0];
+    let rate = "verify rate --controller idm --estimator truth --runs 300 --format json";
+    let one = &message(&format!("{rate} --out rate --confidence 0.99"))[0];
     assert_eq!(
         (one["runs"].as_u64(), one["failures"].as_u64(), one["confidence"].as_f64()),
         (Some(300), Some(0), Some(0.99))
@@ -285,34 +246,28 @@ fn verification_results_are_machine_readable() {
     // At the rate 1 - (1 - c)^(1/n), the probability of n runs without a failure is 1 - c.
     let bound = 1.0 - 0.01_f64.powf(1.0 / 300.0);
     assert!((one["rate_at_most"].as_f64().unwrap() - bound).abs() < 1e-9, "{one}");
-    let checked = &message(&["check", one["certificate"].as_str().unwrap(), "--format", "json"])[0];
+    let checked = &message(&format!("check {} --format json", one["certificate"].as_str().unwrap()))[0];
     assert_eq!(checked["rate_at_most"], one["rate_at_most"]);
-    let shard = &message(&[&rate[..], &["--out", "part", "--confidence", "0.99", "--shard", "1/3"]].concat())[0];
+    let shard = &message(&format!("{rate} --out part --confidence 0.99 --shard 1/3"))[0];
     assert_eq!((shard["runs"].as_u64(), shard["shard"].as_str()), (Some(100), Some("1/3")));
-    assert_eq!(
-        (&shard["certificate"], &shard["registration_sha256"]),
-        (&serde_json::Value::Null, &one["registration_sha256"])
-    );
+    assert_eq!((&shard["certificate"], &shard["registration_sha256"]), (&Value::Null, &one["registration_sha256"]));
 }
 
 /// Options of `--rare` are refused without it; a count that proves nothing fails with its counts.
 #[test]
 fn a_count_names_its_subject() {
     let folder = temp_folder();
-    let rate = ["verify", "rate", "--controller", "baseline", "--runs", "100", "--estimator", "truth", "--out", "rate"];
-    for rare in [["--spec", "always v1.speed_mps > 1000"], ["--samples", "100"], ["--repetitions", "5"]] {
-        assert_refused(
-            &run_crumple(folder.path(), &[&rate[..], &rare].concat()),
-            &format!("{}: requires --rare", rare[0]),
-        );
+    let rate = "verify rate --controller baseline --runs 100 --estimator truth --out rate";
+    for (option, value) in [("--spec", "always v1.speed_mps > 1000"), ("--samples", "100"), ("--repetitions", "5")] {
+        let output = run_crumple(folder.path(), &format!("{rate} {option} '{value}'"));
+        assert_refused(&output, &format!("{option}: requires --rare"));
     }
-    let shown = run_crumple(folder.path(), &[&rate[..], &["--format", "json"]].concat());
+    let shown = run_crumple(folder.path(), &format!("{rate} --format json"));
     let one = &json_objects(&shown)[0];
     assert_eq!((exit_code(&shown), one["runs"].as_u64(), &one["certificate"]), (1, Some(100), &Value::Null), "{one}");
     // Frequent failures are counted: all 250 runs fail, and the true rate may be 0.985.
-    let rare = ["verify", "rate", "--controller", "baseline", "--estimator", "truth", "--rare", "--samples", "50"];
-    let rare =
-        run_crumple(folder.path(), &[&rare[..], &["--repetitions", "5", "--out", "rare", "--format", "json"]].concat());
+    let rare = "verify rate --controller baseline --estimator truth --rare --samples 50";
+    let rare = run_crumple(folder.path(), &format!("{rare} --repetitions 5 --out rare --format json"));
     let one = &json_objects(&rare)[0];
     let [low, high] = [0, 1].map(|end| one["interval_95"][end].as_f64().unwrap());
     assert!((low - 0.025_f64.powf(1.0 / 250.0)).abs() < 1e-9 && high == 1.0, "{one}");

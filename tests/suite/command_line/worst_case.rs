@@ -1,34 +1,31 @@
 //! `avoid`, `check` and `worst-case` on the command line.
 
-use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, built_in_scenario, file};
 
-use super::{assert_refused, exit_code, json_objects, run_crumple, stdout, temp_folder};
+use super::*;
 
 #[test]
 fn an_escape_is_written_replayed_and_checked() {
     let folder = temp_folder();
-    let run = |arguments: &[&str]| run_crumple(folder.path(), arguments);
-    let files = ["--certificate", "proof.json", "--out", "escape.toml", "--plot", "escape.svg", "--format", "json"];
-    let avoided = run(&[&["avoid", "paper-1"], &files[..]].concat());
+    let run = |arguments: &str| run_crumple(folder.path(), arguments);
+    let files = "--certificate proof.json --out escape.toml --plot escape.svg --format json";
+    let avoided = run(&format!("avoid paper-1 {files}"));
     assert_eq!(exit_code(&avoided), 0);
     let report = json_objects(&avoided).remove(0);
     assert_eq!(report["verdict"], "avoidable");
     assert!((report["best_min_gap_m"].as_f64().unwrap() - 8.4).abs() < 0.2, "{report}");
     assert!((report["trigger_time_s"].as_f64().unwrap() - 3.2).abs() < 0.2, "{report}");
-    assert_eq!(exit_code(&run(&["simulate", "escape.toml", "--dt", "0.001", "--expect", "safe"])), 0);
-    assert_eq!(exit_code(&run(&["check", "proof.json", "--scenario", "paper-1"])), 0);
-    assert_eq!(exit_code(&run(&["check", "proof.json", "--scenario", "paper-2"])), 1);
-    let given_up = run(&["check", "proof.json", "--work-limit", "0"]);
-    assert_eq!(exit_code(&given_up), 1);
-    assert!(stdout(&given_up).contains("the check takes more than the allowed 0 operations"), "{}", stdout(&given_up));
-    let proof = std::fs::read_to_string(folder.path().join("proof.json")).unwrap();
-    std::fs::write(folder.path().join("forged.json"), proof.replace("\"ttc_s\":1.4", "\"ttc_s\":0.4")).unwrap();
-    let forged = run(&["check", "forged.json"]);
+    assert_eq!(exit_code(&run("simulate escape.toml --dt 0.001 --expect safe")), 0);
+    assert_eq!(exit_code(&run("check proof.json --scenario paper-1")), 0);
+    assert_eq!(exit_code(&run("check proof.json --scenario paper-2")), 1);
+    assert_prints(&run("check proof.json --work-limit 0"), 1, &["the check takes more than the allowed 0 operations"]);
+    let proof = fs::read_to_string(folder.path().join("proof.json")).unwrap();
+    fs::write(folder.path().join("forged.json"), proof.replace("\"ttc_s\":1.4", "\"ttc_s\":0.4")).unwrap();
+    let forged = run("check forged.json");
     assert_eq!(exit_code(&forged), 1, "{}", stdout(&forged));
-    std::fs::write(folder.path().join("other.json"), "{}").unwrap();
-    assert_eq!(exit_code(&run(&["check", "other.json"])), 2);
-    assert_eq!(exit_code(&run(&["avoid", "paper-1", "--grid", "0.015"])), 2);
+    fs::write(folder.path().join("other.json"), "{}").unwrap();
+    assert_eq!(exit_code(&run("check other.json")), 2);
+    assert_eq!(exit_code(&run("avoid paper-1 --grid 0.015")), 2);
 }
 
 /// An escape is only the best on its grid; the output must not call it optimal.
@@ -36,8 +33,7 @@ fn an_escape_is_written_replayed_and_checked() {
 fn an_escape_on_a_finer_grid_may_keep_more_and_none_is_called_the_best_there_is() {
     let folder = temp_folder();
     let gap_m = |grid: &str| {
-        let found = run_crumple(folder.path(), &["avoid", "paper-2", "--grid", grid, "--format", "json"]);
-        assert_eq!(exit_code(&found), 0);
+        let found = run_ok(folder.path(), &format!("avoid paper-2 --grid {grid} --format json"));
         let report = json_objects(&found).remove(0);
         let (kept_m, bound_m) =
             (report["best_min_gap_m"].as_f64().unwrap(), report["min_gap_bound_m"].as_f64().unwrap());
@@ -46,14 +42,12 @@ fn an_escape_on_a_finer_grid_may_keep_more_and_none_is_called_the_best_there_is(
         kept_m
     };
     assert!(gap_m("0.02") > gap_m("0.1") + 0.01);
-    let words = run_crumple(folder.path(), &["avoid", "paper-2"]);
+    let words = run_crumple(folder.path(), "avoid paper-2");
     assert!(stdout(&words).contains("no driver keeps more than 9.20 m, proved"), "{}", stdout(&words));
-    let proved = run_crumple(folder.path(), &["avoid", "paper-2", "--bound-certificate", "bound.json"]);
-    assert_eq!(exit_code(&proved), 0, "{proved:?}");
-    let checked = run_crumple(folder.path(), &["check", "bound.json", "--scenario", "paper-2"]);
-    assert_eq!(exit_code(&checked), 0, "{checked:?}");
-    assert!(stdout(&checked).contains("for every command, some gap is at most 9.19"), "{}", stdout(&checked));
-    let other = run_crumple(folder.path(), &["check", "bound.json", "--scenario", "paper-1"]);
+    run_ok(folder.path(), "avoid paper-2 --bound-certificate bound.json");
+    let checked = run_crumple(folder.path(), "check bound.json --scenario paper-2");
+    assert_prints(&checked, 0, &["for every command, some gap is at most 9.19"]);
+    let other = run_crumple(folder.path(), "check bound.json --scenario paper-1");
     assert_eq!(exit_code(&other), 1, "{other:?}");
 }
 
@@ -66,10 +60,9 @@ fn vehicles_that_a_bound_leaves_out_are_counted() {
             spec.vehicles[2].driver = Driver::Controller(ControllerSpec::from_name("idm").unwrap());
             spec.vehicles.truncate(vehicles);
         });
-        std::fs::write(folder.path().join("followed.toml"), file::to_toml(&paper.unwrap()).unwrap()).unwrap();
-        let message = run_crumple(folder.path(), &["avoid", "followed.toml", "--bound-certificate", name]);
-        assert_eq!(exit_code(&message), 0, "{message:?}");
-        stdout(&run_crumple(folder.path(), &["check", name])).to_owned()
+        fs::write(folder.path().join("followed.toml"), file::to_toml(&paper.unwrap()).unwrap()).unwrap();
+        run_ok(folder.path(), &format!("avoid followed.toml --bound-certificate {name}"));
+        stdout(&run_crumple(folder.path(), &format!("check {name}"))).to_owned()
     };
     let message = followed(3, "three.json");
     assert!(message.contains("  behind: 1 vehicle, not part of the claim\n"), "{message}");
@@ -82,15 +75,15 @@ fn vehicles_that_a_bound_leaves_out_are_counted() {
 fn an_escape_before_a_modelled_follower_states_optimum_and_replay() {
     let folder = temp_folder();
     let scenario = include_str!("../worst_case/escapes/acc-aeb-fires.toml");
-    std::fs::write(folder.path().join("law.toml"), scenario).unwrap();
-    let run = |arguments: &[&str]| run_crumple(folder.path(), &[&["avoid", "law.toml"], arguments].concat());
-    let report = json_objects(&run(&["--format", "json", "--out", "escape.toml"])).remove(0);
+    fs::write(folder.path().join("law.toml"), scenario).unwrap();
+    let run = |arguments: &str| run_crumple(folder.path(), &format!("avoid law.toml {arguments}"));
+    let report = json_objects(&run("--format json --out escape.toml")).remove(0);
     assert_eq!((&report["escape_found_by"], &report["optimality"]), (&"closed-loop".into(), &"best-found".into()));
     let simulations = report["simulations"].as_u64().expect("a number");
     let optimised = report["escape_is_best_for"].as_str().expect("words");
     assert!(optimised.ends_with(&format!("in the loop, best of {simulations} simulated profiles")), "{optimised}");
     assert_eq!(report["emergency_brake_fires"], !report["trigger_time_s"].is_null());
-    let words = run(&[]);
+    let words = run("");
     assert_eq!(
         stdout(&words).contains("no emergency brake behind fires"),
         report["emergency_brake_fires"] == false,
@@ -98,7 +91,7 @@ fn an_escape_before_a_modelled_follower_states_optimum_and_replay() {
         stdout(&words)
     );
     assert!(stdout(&words).contains(" m, best found\n") && stdout(&words).contains(optimised), "{}", stdout(&words));
-    assert_eq!(exit_code(&run_crumple(folder.path(), &["simulate", "escape.toml", "--expect", "safe"])), 0);
+    run_ok(folder.path(), "simulate escape.toml --expect safe");
 }
 
 #[test]
@@ -113,8 +106,8 @@ fn a_range_that_is_none_is_refused_with_line_and_field() {
     ] {
         let first = "[[ranges]]\nfield = \"vehicles[0].speed_mps\"\nlow = 24\nhigh = 25\n";
         let text = format!("version = 1\n{first}[[ranges]]\n{range}\n");
-        std::fs::write(folder.path().join("ranges.toml"), text).unwrap();
-        assert_refused(&run_crumple(folder.path(), &["avoid", "paper-1", "--box", "ranges.toml"]), message);
+        fs::write(folder.path().join("ranges.toml"), text).unwrap();
+        assert_refused(&run_crumple(folder.path(), "avoid paper-1 --box ranges.toml"), message);
     }
 }
 
@@ -122,35 +115,29 @@ fn a_range_that_is_none_is_refused_with_line_and_field() {
 #[test]
 fn simulations_beyond_the_budget_are_reported() {
     let folder = temp_folder();
-    let attack = |more: &[&str]| {
-        let found = run_crumple(folder.path(), &[&["worst-case", "paper-1", "--controller", "idm"], more].concat());
-        assert_eq!(exit_code(&found), 0);
+    let attack = |more: &str| {
+        let found = run_ok(folder.path(), &format!("worst-case paper-1 --controller idm {more}"));
         found
     };
-    let report = json_objects(&attack(&["--budget", "1", "--format", "json"])).remove(0);
+    let report = json_objects(&attack("--budget 1 --format json")).remove(0);
     assert!(report["evaluations"].as_u64() > Some(1), "{report}");
     assert_eq!((&report["budget"], &report["is_over_budget"]), (&1.into(), &true.into()));
-    assert!(stdout(&attack(&["--budget", "1"])).contains("more simulations than --budget 1: "));
-    let report = json_objects(&attack(&["--format", "json"])).remove(0);
+    assert!(stdout(&attack("--budget 1")).contains("more simulations than --budget 1: "));
+    let report = json_objects(&attack("--format json")).remove(0);
     assert_eq!((&report["is_over_budget"], report["over_budget_because"].is_null()), (&false.into(), true), "{report}");
 }
 
 #[test]
 fn a_worst_case_is_written_and_collides() {
     let folder = temp_folder();
-    let found = run_crumple(
-        folder.path(),
-        &["worst-case", "paper-1", "--controller", "idm", "--budget", "500", "--out", "worst.toml", "--format", "json"],
-    );
-    assert_eq!(exit_code(&found), 0);
+    let found =
+        run_ok(folder.path(), "worst-case paper-1 --controller idm --budget 500 --out worst.toml --format json");
     let report = json_objects(&found).remove(0);
     assert_eq!((&report["found"], &report["method"]), (&true.into(), &"sequential".into()));
     assert_eq!(report["optimality"], "best-found");
-    let words = run_crumple(folder.path(), &["worst-case", "paper-1", "--controller", "idm", "--budget", "500"]);
+    let words = run_crumple(folder.path(), "worst-case paper-1 --controller idm --budget 500");
     assert!(stdout(&words).contains("  best found; ") && !stdout(&words).contains("optimum"), "{}", stdout(&words));
-    let exact = ["worst-case", "paper-1", "--controller", "baseline", "--estimator", "truth", "--format", "json"];
-    assert_eq!(json_objects(&run_crumple(folder.path(), &exact)).remove(0)["optimality"], "exact-on-grid");
-    let replayed =
-        run_crumple(folder.path(), &["simulate", "worst.toml", "--controller", "idm", "--expect", "collision"]);
-    assert_eq!(exit_code(&replayed), 0);
+    let exact = "worst-case paper-1 --controller baseline --estimator truth --format json";
+    assert_eq!(json_objects(&run_crumple(folder.path(), exact)).remove(0)["optimality"], "exact-on-grid");
+    run_ok(folder.path(), "simulate worst.toml --controller idm --expect collision");
 }

@@ -5,12 +5,13 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt as _;
 use std::path::Path;
 
-use crumple_core::digest::sha256;
 use crumple_world::scenario::{built_in_scenario, file};
 use tempfile::TempDir;
 
-use crate::command_line::{exit_code, run_crumple, temp_folder};
+use crate::command_line::{exit_code, rehash_manifest, run_crumple, temp_folder};
 use crate::fmus::{library_member, zip_archive};
+use crate::suite_pages::standing_suite;
+use crate::tiny::replace_passages;
 
 pub(super) const MARKER_FILE: &str = "started";
 
@@ -39,24 +40,6 @@ const FMU: &str = r#"<?xml version="1.0" encoding="UTF-8"?>
     <Float64 name="acceleration_mps2" valueReference="2" causality="output"/>
   </ModelVariables>
 </fmiModelDescription>
-"#;
-
-const SUITE: &str = r#"version = 1
-name = "stands"
-about = "A vehicle that stands."
-document = "None"
-edition = "First"
-figures_from = "Nothing."
-
-[[clauses]]
-clause = "1"
-says = "Touch nothing."
-
-[[clauses.tests]]
-name = "stands"
-lead = "stopped"
-figures.own_speed = { values = [60.0], unit = "km/h", origin = "chosen" }
-figures.closing_time = { values = [5.0], unit = "s", origin = "chosen" }
 "#;
 
 pub(super) fn space_toml(name: &str, base: &str) -> String {
@@ -101,7 +84,7 @@ impl InputFolder {
         self.folder.path()
     }
 
-    pub(super) fn run(&self, words: &[&str]) -> CommandOutput {
+    pub(super) fn run(&self, words: &str) -> CommandOutput {
         for output in OUTPUTS {
             let path = self.folder().join(output);
             let _ = if path.is_dir() { fs::remove_dir_all(path) } else { fs::remove_file(path) };
@@ -137,32 +120,31 @@ impl InputFolder {
         self.write("driven.json", json.to_string());
         self.write("space.toml", space_toml("driven", "driven.toml"));
         self.write("plain.toml", space_toml("plain", "plain-base.toml"));
-        self.write("suite.toml", SUITE);
+        self.write(
+            "suite.toml",
+            replace_passages(&standing_suite(), &[("[60.0, 75.0]", "[60.0]"), (", tolerance = 2.0", "")]),
+        );
         let idm = "controllers = [\"idm\"]";
         self.write("scenarios.toml", assessment_toml(idm, "scenarios = [\"driven.toml\"]"));
-        self.write(
-            "spaces.toml",
-            assessment_toml(idm, "").replace("spaces = [\"plain.toml\"]", "spaces = [\"space.toml\"]"),
-        );
+        let spaces = assessment_toml(idm, "").replace("spaces = [\"plain.toml\"]", "spaces = [\"space.toml\"]");
+        self.write("spaces.toml", spaces);
         let preset = crate::tiny::training();
         self.write("preset.toml", format!("{preset}\n[[spaces]]\nspace = \"space.toml\"\nweight = 1.0\n"));
     }
 
     /// Makes a campaign, a certificate and shards, with permission to start the program.
     fn make_run_folders(&self) {
-        let search = ["falsify", "--controller", "idm", "--space", "space.toml", "--budget", "2", "--allow-external"];
-        let count =
-            ["verify", "rate", "--controller", "idm", "--space", "space.toml", "--runs", "2", "--allow-external"];
-        let suite = ["suite", "run", "suite.toml", "--controller", "evil.toml", "--shard", "1/1"];
-        let work: [(&[&str], &[&str]); 5] = [
-            (&search, &["--out", "campaign"]),
-            (&search, &["--shard", "1/1", "--out", "search-shard"]),
-            (&count, &["--confidence", "0.6", "--out", "rate"]),
-            (&count, &["--confidence", "0.6", "--shard", "1/1", "--out", "rate-shard"]),
-            (&suite, &["--out", "suite-shard"]),
-        ];
-        for (command, more) in work {
-            let message = self.run(&[command, more].concat());
+        let search = "falsify --controller idm --space space.toml --budget 2 --allow-external";
+        let count = "verify rate --controller idm --space space.toml --runs 2 --allow-external --confidence 0.6";
+        let suite = "suite run suite.toml --controller evil.toml --shard 1/1";
+        for (command, more) in [
+            (search, "--out campaign"),
+            (search, "--shard 1/1 --out search-shard"),
+            (count, "--out rate"),
+            (count, "--shard 1/1 --out rate-shard"),
+            (suite, "--out suite-shard"),
+        ] {
+            let message = self.run(&format!("{command} {more}"));
             assert_eq!(message.code, 0, "{command:?}: {}", message.stderr);
         }
         let (from, to) = (self.folder().join("suite-shard"), self.folder().join("exec-shard"));
@@ -177,19 +159,4 @@ impl InputFolder {
         }
         rehash_manifest(&to);
     }
-}
-
-/// Writes the hashes of a folder's files into its manifest, as an attacker would. The files keep their lengths.
-fn rehash_manifest(folder: &Path) {
-    let path = folder.join("work.json");
-    let mut text = fs::read_to_string(&path).unwrap();
-    let manifest: serde_json::Value = serde_json::from_str(&text).unwrap();
-    for (name, entry) in manifest["files"].as_object().unwrap() {
-        if let (Some(old), Ok(bytes)) = (entry["whole"]["sha256"].as_str(), fs::read(folder.join(name))) {
-            text = text.replace(old, &sha256(bytes));
-        }
-    }
-    let own = manifest["sha256"].as_str().unwrap();
-    let empty = text.replace(own, "");
-    fs::write(path, text.replace(own, &sha256(&empty))).unwrap();
 }

@@ -7,7 +7,8 @@ use std::fs;
 use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
-use crate::command_line::{exit_code, listed_subcommands, run_crumple, temp_folder};
+use crate::command_line::{exit_code, listed_subcommands, run_crumple, stderr, temp_folder};
+use crate::tiny::assert_contains;
 use inputs::{EXEC_CONTROLLER, InputFolder, MARKER_FILE};
 
 const OPTION: &str = "--allow-external";
@@ -26,76 +27,59 @@ enum StartExpectation {
 use StartExpectation::{Refused, RefusedOrStarts, StartsNothing};
 
 /// Subcommand, arguments, result. Every subcommand of `crumple --help` has a row.
-const CASES: &[(&str, &[&str], StartExpectation)] = &[
-    ("assess", &["scenarios.toml", "--out", "o"], Refused("driven.toml:")),
-    ("assess", &["spaces.toml", "--out", "o"], Refused("spaces.toml:")),
-    ("simulate", &["driven.toml"], RefusedOrStarts("vehicles[2].driver.file.path: ")),
-    ("simulate", &["driven.json"], RefusedOrStarts("vehicles[2].driver.file.path: ")),
-    ("simulate", &["driven-fmu.toml"], Refused("/evil.fmu: ")),
-    ("import", &["driven.toml", "--out", "o"], StartsNothing),
-    ("fit", &["driven.toml", "--out", "o.toml"], StartsNothing),
-    ("export", &["driven.toml", "--to", "openscenario", "--out", "o"], RefusedOrStarts("driven.toml:")),
-    (
-        "export",
-        &["driven.toml", "--to", "openscenario", "--as", "actions", "--out", "o"],
-        RefusedOrStarts("driven.toml:"),
-    ),
-    ("explore", &["driven.toml"], Refused("driven.toml:")),
-    ("explore", &["campaign"], Refused("base.vehicles[2].driver.file.path: ")),
-    ("train", &["--space", "space.toml", "--out", "o"], Refused("space.toml:")),
-    ("train", &["--preset", "preset.toml", "--out", "o"], Refused("space.toml:")),
-    ("retrain", &["--space", "space.toml", "--out", "o"], Refused("space.toml:")),
-    ("retrain", &["--regression", "space.toml", "--out", "o"], Refused("space.toml:")),
-    (
-        "falsify",
-        &["--controller", "idm", "--space", "space.toml", "--budget", "2", "--out", "o"],
-        RefusedOrStarts("space.toml:"),
-    ),
-    (
-        "falsify",
-        &["--controller", "idm", "--space", "space.toml", "--budget", "2", "--out", "campaign", "--resume"],
-        Refused("space.toml:"),
-    ),
-    ("avoid", &["driven.toml"], RefusedOrStarts("driven.toml:")),
-    ("worst-case", &["driven.toml", "--controller", "idm", "--budget", "1"], RefusedOrStarts("driven.toml:")),
-    ("check", &["rate/certificate.json"], Refused("base.vehicles[2].driver.file.path: ")),
-    ("check", &["rate/certificate.json", "--rerun"], RefusedOrStarts("base.vehicles[2].driver.file.path: ")),
-    ("check", &["rate/certificate.json", "--scenario", "driven.toml"], RefusedOrStarts("driven.toml:")),
-    ("check", &["rate/certificate.json", "--policy", "evil.toml"], Refused("base.vehicles[2].driver.file.path: ")),
-    ("benchmark chasing-cars", &["--method", "uniform", "--budget", "1", "--seeds", "1"], StartsNothing),
-    ("benchmark acc", &["--network", "evil.toml"], StartsNothing),
-    ("benchmark acc", &["--network", "evil.fmu"], StartsNothing),
-    ("verify shield", &["--help"], StartsNothing),
-    (
-        "verify rate",
-        &["--controller", "idm", "--space", "space.toml", "--runs", "2", "--out", "o"],
-        RefusedOrStarts("space.toml:"),
-    ),
-    ("verify reach", &["--box", "driven.toml"], StartsNothing),
-    ("suite list", &[], StartsNothing),
-    ("suite show", &["driven.toml"], StartsNothing),
-    ("suite run", &["driven.toml", "--controller", "idm"], StartsNothing),
-    ("suite table", &["--help"], StartsNothing),
-    ("suite map", &["car-following", "--cells", "2x2"], StartsNothing),
-    ("plan", &["--controller", "idm", "--space", "space.toml", "--runs", "9", "--out", "o"], Refused("space.toml:")),
-    ("merge", &["search-shard", "--out", "o"], Refused("base.vehicles[2].driver.file.path: ")),
-    ("merge", &["rate-shard", "--out", "o"], StartsNothing),
-    ("merge", &["exec-shard", "--out", "o", "--format", "json"], StartsNothing),
-    ("fsck", &["campaign", "rate", "exec-shard"], StartsNothing),
-    ("list", &[], StartsNothing),
-    ("show", &["driven.toml"], StartsNothing),
-    ("describe", &["evil.toml"], StartsNothing),
-    ("describe", &["evil.fmu"], StartsNothing),
-    ("describe", &["evil.fmu", "--format", "json"], StartsNothing),
-    ("describe", &[EXEC_CONTROLLER], StartsNothing),
-    ("doctor", &[], StartsNothing),
-    ("completions", &["bash"], StartsNothing),
-    ("man", &["--out", "o"], StartsNothing),
+const CASES: &[(&str, &str, StartExpectation)] = &[
+    ("assess", "scenarios.toml --out o", Refused("driven.toml:")),
+    ("assess", "spaces.toml --out o", Refused("spaces.toml:")),
+    ("simulate", "driven.toml", RefusedOrStarts("vehicles[2].driver.file.path: ")),
+    ("simulate", "driven.json", RefusedOrStarts("vehicles[2].driver.file.path: ")),
+    ("simulate", "driven-fmu.toml", Refused("/evil.fmu: ")),
+    ("import", "driven.toml --out o", StartsNothing),
+    ("fit", "driven.toml --out o.toml", StartsNothing),
+    ("export", "driven.toml --to openscenario --out o", RefusedOrStarts("driven.toml:")),
+    ("export", "driven.toml --to openscenario --as actions --out o", RefusedOrStarts("driven.toml:")),
+    ("explore", "driven.toml", Refused("driven.toml:")),
+    ("explore", "campaign", Refused("base.vehicles[2].driver.file.path: ")),
+    ("train", "--space space.toml --out o", Refused("space.toml:")),
+    ("train", "--preset preset.toml --out o", Refused("space.toml:")),
+    ("retrain", "--space space.toml --out o", Refused("space.toml:")),
+    ("retrain", "--regression space.toml --out o", Refused("space.toml:")),
+    ("falsify", "--controller idm --space space.toml --budget 2 --out o", RefusedOrStarts("space.toml:")),
+    ("falsify", "--controller idm --space space.toml --budget 2 --out campaign --resume", Refused("space.toml:")),
+    ("avoid", "driven.toml", RefusedOrStarts("driven.toml:")),
+    ("worst-case", "driven.toml --controller idm --budget 1", RefusedOrStarts("driven.toml:")),
+    ("check", "rate/certificate.json", Refused("base.vehicles[2].driver.file.path: ")),
+    ("check", "rate/certificate.json --rerun", RefusedOrStarts("base.vehicles[2].driver.file.path: ")),
+    ("check", "rate/certificate.json --scenario driven.toml", RefusedOrStarts("driven.toml:")),
+    ("check", "rate/certificate.json --policy evil.toml", Refused("base.vehicles[2].driver.file.path: ")),
+    ("benchmark chasing-cars", "--method uniform --budget 1 --seeds 1", StartsNothing),
+    ("benchmark acc", "--network evil.toml", StartsNothing),
+    ("benchmark acc", "--network evil.fmu", StartsNothing),
+    ("verify shield", "--help", StartsNothing),
+    ("verify rate", "--controller idm --space space.toml --runs 2 --out o", RefusedOrStarts("space.toml:")),
+    ("verify reach", "--box driven.toml", StartsNothing),
+    ("suite list", "", StartsNothing),
+    ("suite show", "driven.toml", StartsNothing),
+    ("suite run", "driven.toml --controller idm", StartsNothing),
+    ("suite table", "--help", StartsNothing),
+    ("suite map", "car-following --cells 2x2", StartsNothing),
+    ("plan", "--controller idm --space space.toml --runs 9 --out o", Refused("space.toml:")),
+    ("merge", "search-shard --out o", Refused("base.vehicles[2].driver.file.path: ")),
+    ("merge", "rate-shard --out o", StartsNothing),
+    ("merge", "exec-shard --out o --format json", StartsNothing),
+    ("fsck", "campaign rate exec-shard", StartsNothing),
+    ("list", "", StartsNothing),
+    ("show", "driven.toml", StartsNothing),
+    ("describe", "evil.toml", StartsNothing),
+    ("describe", "evil.fmu", StartsNothing),
+    ("describe", "evil.fmu --format json", StartsNothing),
+    ("describe", EXEC_CONTROLLER, StartsNothing),
+    ("doctor", "", StartsNothing),
+    ("completions", "bash", StartsNothing),
+    ("man", "--out o", StartsNothing),
 ];
 
 fn subcommands(folder: &Path, of: &str) -> BTreeSet<String> {
-    let words: Vec<&str> = of.split_whitespace().chain(["--help"]).collect();
-    let names = listed_subcommands(&run_crumple(folder, &words));
+    let names = listed_subcommands(&run_crumple(folder, &format!("{of} --help")));
     if names.is_empty() {
         return BTreeSet::from([of.to_owned()]);
     }
@@ -108,22 +92,22 @@ fn no_subcommand_starts_a_program_that_only_a_file_names() {
     let covered: BTreeSet<String> = CASES.iter().map(|(command, ..)| (*command).to_owned()).collect();
     assert_eq!(covered, subcommands(inputs.folder(), ""), "every subcommand has a row in the table");
     for (command, arguments, expected) in CASES {
-        let words: Vec<&str> = command.split(' ').chain(arguments.iter().copied()).collect();
+        let words = format!("{command} {arguments}");
         let text = inputs.run(&words);
-        assert!(!inputs.has_started(), "{words:?} starts it: {}", text.stderr);
+        assert!(!inputs.has_started(), "{words} starts it: {}", text.stderr);
         let place = match expected {
             StartsNothing => "",
             Refused(place) | RefusedOrStarts(place) => place,
         };
         if !place.is_empty() {
-            assert_eq!(text.code, 2, "{words:?}: {} {}", text.stdout, text.stderr);
-            assert!(text.stderr.contains(OPTION) && text.stderr.contains(place), "{words:?}: {}", text.stderr);
+            assert_eq!(text.code, 2, "{words}: {} {}", text.stdout, text.stderr);
+            assert!(text.stderr.contains(OPTION) && text.stderr.contains(place), "{words}: {}", text.stderr);
         }
         if let Refused(_) = expected {
             continue;
         }
-        let text = inputs.run(&[&words[..], &[OPTION]].concat());
-        assert_eq!(inputs.has_started(), matches!(expected, RefusedOrStarts(_)), "{words:?}: {}", text.stderr);
+        let text = inputs.run(&format!("{words} {OPTION}"));
+        assert_eq!(inputs.has_started(), matches!(expected, RefusedOrStarts(_)), "{words}: {}", text.stderr);
     }
 }
 
@@ -131,77 +115,60 @@ fn no_subcommand_starts_a_program_that_only_a_file_names() {
 #[test]
 fn the_option_permits_the_fmu_that_a_scenario_names() {
     let inputs = InputFolder::new();
-    let text = inputs.run(&["simulate", "driven-fmu.toml", OPTION]);
+    let text = inputs.run(&format!("simulate driven-fmu.toml {OPTION}"));
     assert!(text.code == 2 && text.stderr.contains("evil.fmu") && !text.stderr.contains(OPTION), "{}", text.stderr);
-    let listed = inputs.run(&["describe", "evil.fmu"]);
+    let listed = inputs.run("describe evil.fmu");
     assert_eq!(listed.code, 0, "{}", listed.stderr);
     assert!(listed.stdout.contains("input      gap_ahead_m"), "{}", listed.stdout);
-    let listed: serde_json::Value =
-        serde_json::from_str(&inputs.run(&["describe", "evil.fmu", "--format", "json"]).stdout).unwrap();
+    let listed: serde_json::Value = inputs.run("describe evil.fmu --format json").stdout.parse().unwrap();
     assert_eq!(listed["variables"][1]["causality"], "output", "{listed}");
 }
 
 #[test]
 fn named_controllers_start() {
     let inputs = InputFolder::new();
-    fs::write(
-        inputs.folder().join("named.toml"),
-        inputs::assessment_toml("controllers = [\"idm\", \"evil.toml\"]", ""),
-    )
-    .unwrap();
-    let search = ["falsify", "--controller", "evil.toml", "--space", "plain.toml", "--budget", "2", "--out", "own"];
-    let cases: [&[&str]; 6] = [
-        &["simulate", "paper-1", "--controller", "evil.toml"],
-        &["simulate", "paper-1", "--controller", EXEC_CONTROLLER],
-        &["simulate", "paper-1", "--controller", "shield:evil.toml"],
-        &["assess", "named.toml", "--out", "report"],
-        &search,
-        &[&search[..], &["--resume"]].concat(),
-    ];
-    for words in cases {
+    let config = inputs::assessment_toml("controllers = [\"idm\", \"evil.toml\"]", "");
+    fs::write(inputs.folder().join("named.toml"), config).unwrap();
+    let search = "falsify --controller evil.toml --space plain.toml --budget 2 --out own";
+    for words in [
+        "simulate paper-1 --controller evil.toml",
+        "simulate paper-1 --controller exec:./ev",
+        "simulate paper-1 --controller shield:evil.toml",
+        "assess named.toml --out report",
+        search,
+        &format!("{search} --resume"),
+    ] {
         let text = inputs.run(words);
-        assert!(inputs.has_started() && text.code < 2, "{words:?}: {}", text.stderr);
+        assert!(inputs.has_started() && text.code < 2, "{words}: {}", text.stderr);
     }
 }
 
 #[test]
 fn a_page_uses_the_recorded_controller_or_reports_its_absence() {
     let inputs = InputFolder::new();
-    let page = |shard: &str, more: &[&str]| {
-        inputs.run(&[&["merge", shard, "--out", "pages", "--format", "html"], more].concat())
-    };
+    let page = |shard: &str, more: &str| inputs.run(&format!("merge {shard} --out pages --format html {more}"));
     let is_missing = "No figure, because the recorded controller is not available here.";
     // Named on the command line of `suite run`, not on that of `merge`; renamed to a command in the second.
     for (shard, name) in [("suite-shard", "evil.toml"), ("exec-shard", EXEC_CONTROLLER)] {
-        let text = page(shard, &[]);
+        let text = page(shard, "");
         assert!(!inputs.has_started() && text.code == 0, "{}", text.stderr);
         assert!(text.stdout.contains(is_missing) && !text.stdout.contains("<figure"), "{}", text.stdout);
-        assert!(
-            text.stderr.contains(OPTION) && text.stderr.contains(&format!("`{name}` is not available")),
-            "{}",
-            text.stderr
-        );
+        assert_contains(&text.stderr, &[OPTION, &format!("`{name}` is not available")]);
     }
-    let text = page("suite-shard", &[OPTION]);
-    assert!(
-        inputs.has_started() && text.stdout.contains("<figure") && !text.stdout.contains(is_missing),
-        "{}",
-        text.stderr
-    );
+    let text = page("suite-shard", OPTION);
+    assert!(inputs.has_started(), "{}", text.stderr);
+    assert!(text.stdout.contains("<figure") && !text.stdout.contains(is_missing), "{}", text.stderr);
     // Other controllers of the same name: a network, which needs no permission, and a program.
     let changed = "version = 1\ncommand = [\"./ev\", \"other\"]\nfiles = [\"ev\"]\n";
     fs::write(inputs.folder().join("evil.toml"), changed).unwrap();
-    let text = page("suite-shard", &[OPTION]);
-    assert!(
-        !inputs.has_started() && text.stdout.contains(is_missing) && !text.stdout.contains("<figure"),
-        "{}",
-        text.stderr
-    );
+    let text = page("suite-shard", OPTION);
+    assert!(!inputs.has_started(), "{}", text.stderr);
+    assert!(text.stdout.contains(is_missing) && !text.stdout.contains("<figure"), "{}", text.stderr);
     assert!(text.stderr.contains("`evil.toml` is not available: its identity is "), "{}", text.stderr);
     let networks = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers");
     fs::copy(networks.join("acc-5x20.onnx"), inputs.folder().join("acc-5x20.onnx")).unwrap();
     fs::copy(networks.join("acc.toml"), inputs.folder().join("evil.toml")).unwrap();
-    let text = page("suite-shard", &[]);
+    let text = page("suite-shard", "");
     assert!(text.stdout.contains(is_missing) && !text.stdout.contains("<figure"), "{}", text.stderr);
     assert!(text.stderr.contains("`evil.toml` is not available: its identity is "), "{}", text.stderr);
 }
@@ -229,8 +196,8 @@ fn an_assessment_starts_no_program_of_the_repository_that_it_lies_in() {
     // A later time stamp makes git compare contents.
     fs::write(folder.path().join("a.toml"), inputs::assessment_toml("controllers = [\"idm\"] ", "")).unwrap();
     let starts_nothing = || {
-        let assessed = run_crumple(folder.path(), &["assess", "a.toml", "--out", "o"]);
-        assert!(exit_code(&assessed) < 2, "{}", String::from_utf8_lossy(&assessed.stderr));
+        let assessed = run_crumple(folder.path(), "assess a.toml --out o");
+        assert!(exit_code(&assessed) < 2, "{}", stderr(&assessed));
         assert!(!folder.path().join(MARKER_FILE).exists());
     };
     starts_nothing();

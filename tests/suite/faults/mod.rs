@@ -11,96 +11,50 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use crate::command_line::command;
 use crate::damage::{assert_same_contents, read_files, scratch_folder};
 use crate::tiny;
 
 /// Number of calls tried with each fault, unless `FAULTS` overrides it.
 const DEFAULT_TRIED_CALLS: usize = 1;
 
-/// A command that can resume its work in the folder `run`.
-struct ResumableCommand {
-    arguments: &'static [&'static str],
-    preset: Option<fn() -> String>,
-}
+/// A command that can resume its work in the folder `run`, and its preset.
+struct ResumableCommand(&'static str, Option<fn() -> String>);
 
-const CAMPAIGN: ResumableCommand = ResumableCommand {
-    arguments: &["falsify", "--controller", "baseline", "--space", "paper", "--budget", "60"],
-    preset: None,
-};
+const CAMPAIGN: ResumableCommand = ResumableCommand("falsify --controller baseline --space paper --budget 60", None);
 
-const COUNT: ResumableCommand = ResumableCommand {
-    arguments: &["verify", "rate", "--controller", "idm", "--space", "paper", "--runs", "400", "--confidence", "0.9"],
-    preset: None,
-};
+const COUNT: ResumableCommand =
+    ResumableCommand("verify rate --controller idm --space paper --runs 400 --confidence 0.9", None);
 
-const ESTIMATE: ResumableCommand = ResumableCommand {
-    arguments: &[
-        "verify",
-        "rate",
-        "--controller",
-        "match-leader",
-        "--rare=importance",
-        "--estimator",
-        "truth",
-        "--samples",
-        "50",
-        "--repetitions",
-        "20",
-    ],
-    preset: None,
-};
+const ESTIMATE: ResumableCommand = ResumableCommand(
+    "verify rate --controller match-leader --rare=importance --estimator truth --samples 50 --repetitions 20",
+    None,
+);
 
-const TRAINING: ResumableCommand = ResumableCommand {
-    arguments: &["train", "--preset", "tiny.toml", "--seed", "1", "--episodes", "33"],
-    preset: Some(tiny::training),
-};
+const TRAINING: ResumableCommand =
+    ResumableCommand("train --preset tiny.toml --seed 1 --episodes 33", Some(tiny::training));
 
 /// In this space an avoidable collision is quickly found to be avoidable, and every round searches for some.
-const RETRAINING: ResumableCommand = ResumableCommand {
-    arguments: &[
-        "retrain",
-        "--preset",
-        "tiny.toml",
-        "--space",
-        "paper",
-        "--rounds",
-        "2",
-        "--episodes",
-        "12",
-        "--budget",
-        "5",
-        "--draws",
-        "5",
-        "--kept-aside",
-        "3",
-        "--nominal",
-        "3",
-        "--judge",
-        "3",
-        "--regression",
-        "traffic",
-        "--regression-draws",
-        "3",
-        "--seed",
-        "3",
-    ],
-    preset: Some(tiny::retraining),
-};
+const RETRAINING: ResumableCommand = ResumableCommand(
+    "retrain --preset tiny.toml --space paper --rounds 2 --episodes 12 --budget 5 --draws 5 --kept-aside 3 --nominal 3 \
+     --judge 3 --regression traffic --regression-draws 3 --seed 3",
+    Some(tiny::retraining),
+);
 
 type FolderFiles = BTreeMap<String, Vec<u8>>;
 
 impl ResumableCommand {
     fn new_folder(&self) -> tempfile::TempDir {
         let place = scratch_folder();
-        if let Some(preset) = self.preset {
+        if let Some(preset) = self.1 {
             fs::write(place.path().join("tiny.toml"), tiny::with_small_memory(&preset())).unwrap();
         }
         place
     }
 
     fn command(&self, place: &Path) -> Command {
-        let mut command = Command::new(env!("CARGO_BIN_EXE_crumple"));
-        command.args(self.arguments).args(["--resume", "--quiet", "--out"]).arg(place.join("run")).current_dir(place);
+        let mut command = command(place, self.0);
+        command.args(["--resume", "--quiet", "--out"]).arg(place.join("run"));
         command.env("RAYON_NUM_THREADS", "1");
         command
     }
@@ -164,11 +118,12 @@ fn call_count(trace: &[u8]) -> usize {
     text.trim_end().rsplit_once("calls ").unwrap().1.parse().unwrap()
 }
 
-/// Injects a full disk, a failing disk and a sudden end at the selected calls.
-fn assert_survives_faults(kept: &ResumableCommand) {
+/// Injects a full disk, a failing disk, a sudden end and a power failure at the selected calls.
+fn assert_survives(kept: &ResumableCommand) {
     let folder = tempfile::tempdir().unwrap();
     let shim = build_shim(folder.path());
     let (genuine, trace) = kept.run_without_faults(&shim);
+    assert_survives_power_loss(kept, &genuine, &power::parse_operations(&trace));
     let calls = call_count(&trace);
     for (salt, fault) in ["enospc", "eio", "kill"].into_iter().enumerate() {
         for at in selected_calls(calls, salt) {
@@ -192,49 +147,38 @@ fn assert_survives_faults(kept: &ResumableCommand) {
 }
 
 /// Injects a power failure at the selected calls, with all or a part of the unsynchronised changes lost.
-fn assert_survives_power_loss(kept: &ResumableCommand) {
-    let folder = tempfile::tempdir().unwrap();
-    let (genuine, trace) = kept.run_without_faults(&build_shim(folder.path()));
-    let changes = power::parse_operations(&trace);
+fn assert_survives_power_loss(kept: &ResumableCommand, genuine: &FolderFiles, changes: &[power::DiskOperation]) {
     for (salt, loss) in power::PowerLoss::ALL.into_iter().enumerate() {
         for at in selected_calls(changes.len(), salt) {
             let place = kept.new_folder();
             power::disk_after_power_loss(&changes[..at], loss).write_to(&place.path().join("run"));
-            kept.assert_completes(
-                place.path(),
-                &genuine,
-                &format!("power lost at change {at} of {}, {loss:?}", changes.len()),
-            );
+            let what = format!("power lost at change {at} of {}, {loss:?}", changes.len());
+            kept.assert_completes(place.path(), genuine, &what);
         }
     }
 }
 
 #[test]
 fn a_campaign_survives_faults_and_loss_of_power() {
-    assert_survives_faults(&CAMPAIGN);
-    assert_survives_power_loss(&CAMPAIGN);
+    assert_survives(&CAMPAIGN);
 }
 
 #[test]
 fn a_count_survives_faults_and_loss_of_power() {
-    assert_survives_faults(&COUNT);
-    assert_survives_power_loss(&COUNT);
+    assert_survives(&COUNT);
 }
 
 #[test]
 fn an_estimate_survives_faults_and_loss_of_power() {
-    assert_survives_faults(&ESTIMATE);
-    assert_survives_power_loss(&ESTIMATE);
+    assert_survives(&ESTIMATE);
 }
 
 #[test]
 fn a_training_survives_faults_and_loss_of_power() {
-    assert_survives_faults(&TRAINING);
-    assert_survives_power_loss(&TRAINING);
+    assert_survives(&TRAINING);
 }
 
 #[test]
 fn a_retraining_survives_faults_and_loss_of_power() {
-    assert_survives_faults(&RETRAINING);
-    assert_survives_power_loss(&RETRAINING);
+    assert_survives(&RETRAINING);
 }

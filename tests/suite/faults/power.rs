@@ -4,48 +4,11 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-#[derive(Debug, Clone)]
-pub(super) enum DiskOperation {
-    /// A file was opened, created if missing, truncated if requested.
-    Open {
-        handle: u32,
-        emptied: bool,
-        path: String,
-    },
-    Reopen {
-        handle: u32,
-        path: String,
-    },
-    Close {
-        handle: u32,
-    },
-    Write {
-        handle: u32,
-        offset: usize,
-        bytes: Vec<u8>,
-    },
-    Truncate {
-        handle: u32,
-        length: usize,
-    },
-    /// The contents of a file, or the names in a folder, were synchronised.
-    Sync {
-        handle: u32,
-    },
-    Rename {
-        from: String,
-        to: String,
-    },
-    Link {
-        from: String,
-        to: String,
-    },
-    Remove {
-        path: String,
-    },
-    Folder {
-        path: String,
-    },
+/// A change of the disk: a line of the trace, and the bytes that it writes.
+pub(super) struct DiskOperation {
+    name: String,
+    arguments: String,
+    bytes: Vec<u8>,
 }
 
 /// Part of the unsynchronised changes that is lost.
@@ -65,43 +28,24 @@ impl PowerLoss {
 }
 
 pub(super) fn parse_operations(trace: &[u8]) -> Vec<DiskOperation> {
-    let (mut rest, mut changes) = (trace, Vec::new());
+    let (mut rest, mut operations) = (trace, Vec::new());
     while let Some(end) = rest.iter().position(|&byte| byte == b'\n') {
-        let line = String::from_utf8(rest[..end].to_vec()).unwrap();
+        let line = std::str::from_utf8(&rest[..end]).unwrap();
         rest = &rest[end + 1..];
-        let (word, arguments) = line.split_once(' ').unwrap();
-        let number = |text: &str| text.parse::<usize>().unwrap();
-        let handle = |text: &str| text.parse::<u32>().unwrap();
-        let two = |separator| {
-            let (a, b): (&str, &str) = arguments.split_once(separator).unwrap();
-            (a.to_owned(), b.to_owned())
-        };
-        changes.push(match word {
-            "open" => {
-                let mut parts = arguments.splitn(3, ' ');
-                let mut next = || parts.next().unwrap();
-                DiskOperation::Open { handle: handle(next()), emptied: next() == "1", path: next().to_owned() }
-            }
-            "reopen" => DiskOperation::Reopen { handle: handle(&two(' ').0), path: two(' ').1 },
-            "close" => DiskOperation::Close { handle: handle(arguments) },
-            "write" => {
-                let parts: Vec<_> = arguments.split(' ').collect();
-                let (offset, count) = (number(parts[1]), number(parts[2]));
-                let bytes = rest[..count].to_vec();
-                rest = &rest[count + 1..];
-                DiskOperation::Write { handle: handle(parts[0]), offset, bytes }
-            }
-            "cut" => DiskOperation::Truncate { handle: handle(&two(' ').0), length: number(&two(' ').1) },
-            "sync" => DiskOperation::Sync { handle: handle(arguments) },
-            "rename" => DiskOperation::Rename { from: two('\t').0, to: two('\t').1 },
-            "link" => DiskOperation::Link { from: two('\t').0, to: two('\t').1 },
-            "remove" => DiskOperation::Remove { path: arguments.to_owned() },
-            "folder" => DiskOperation::Folder { path: arguments.to_owned() },
+        let (name, arguments) = line.split_once(' ').unwrap();
+        let mut bytes = Vec::new();
+        match name {
             "calls" => break,
-            other => panic!("{other}"),
-        });
+            "write" => {
+                let count: usize = arguments.rsplit(' ').next().unwrap().parse().unwrap();
+                bytes.extend_from_slice(&rest[..count]);
+                rest = &rest[count + 1..];
+            }
+            _ => {}
+        }
+        operations.push(DiskOperation { name: name.to_owned(), arguments: arguments.to_owned(), bytes });
     }
-    changes
+    operations
 }
 
 #[derive(Debug, Clone, Copy, PartialEq)]
@@ -123,9 +67,9 @@ struct Disk {
     files: Vec<DurableContents>,
     now: BTreeMap<String, DiskNode>,
     durable: BTreeMap<String, DiskNode>,
-    handles: BTreeMap<u32, String>,
+    handles: BTreeMap<usize, String>,
     /// Files of open handles, whatever their names are now.
-    open_files: BTreeMap<u32, usize>,
+    open_files: BTreeMap<usize, usize>,
 }
 
 /// Remaining contents of a folder by name; `None` for folders.
@@ -160,61 +104,70 @@ pub(super) fn disk_after_power_loss(changes: &[DiskOperation], loss: PowerLoss) 
 }
 
 impl Disk {
-    fn apply(&mut self, change: &DiskOperation) {
-        match change {
-            DiskOperation::Folder { path } => {
+    fn apply(&mut self, DiskOperation { name, arguments, bytes }: &DiskOperation) {
+        let number = |text: &str| text.parse::<usize>().unwrap();
+        let two = |separator: char| arguments.split_once(separator).unwrap();
+        let owned = |(one, other): (&str, &str)| (one.to_owned(), other.to_owned());
+        match name.as_str() {
+            "folder" => {
                 if self.root.is_empty() {
-                    self.root.clone_from(path);
-                    self.durable.insert(path.clone(), DiskNode::Folder);
+                    self.root.clone_from(arguments);
+                    self.durable.insert(arguments.clone(), DiskNode::Folder);
                 }
-                self.now.insert(path.clone(), DiskNode::Folder);
+                self.now.insert(arguments.clone(), DiskNode::Folder);
             }
-            DiskOperation::Open { handle, emptied, path } => {
+            // A file was opened, created if missing, truncated if requested.
+            "open" => {
+                let (handle, (emptied, path)) = (number(two(' ').0), two(' ').1.split_once(' ').unwrap());
                 let file = match self.now.get(path) {
                     Some(DiskNode::File(file)) => *file,
                     _ => {
                         self.files.push(DurableContents::default());
-                        self.now.insert(path.clone(), DiskNode::File(self.files.len() - 1));
+                        self.now.insert(path.to_owned(), DiskNode::File(self.files.len() - 1));
                         self.files.len() - 1
                     }
                 };
-                if *emptied {
+                if emptied == "1" {
                     self.files[file].now.clear();
                 }
-                self.handles.insert(*handle, path.clone());
-                self.open_files.insert(*handle, file);
+                self.handles.insert(handle, path.to_owned());
+                self.open_files.insert(handle, file);
             }
-            DiskOperation::Reopen { handle, path } => {
-                self.handles.insert(*handle, path.clone());
+            "reopen" => {
+                let (handle, path) = (number(two(' ').0), two(' ').1);
+                self.handles.insert(handle, path.to_owned());
                 match self.now.get(path) {
-                    Some(DiskNode::File(file)) => self.open_files.insert(*handle, *file),
-                    _ => self.open_files.remove(handle),
+                    Some(DiskNode::File(file)) => self.open_files.insert(handle, *file),
+                    _ => self.open_files.remove(&handle),
                 };
             }
-            DiskOperation::Close { handle } => {
-                self.handles.remove(handle);
-                self.open_files.remove(handle);
+            "close" => {
+                self.handles.remove(&number(arguments));
+                self.open_files.remove(&number(arguments));
             }
-            DiskOperation::Write { handle, offset, bytes } => {
-                let now = &mut self.files[self.open_files[handle]].now;
+            "write" => {
+                let (handle, offset) = (number(two(' ').0), number(two(' ').1.split(' ').next().unwrap()));
+                let now = &mut self.files[self.open_files[&handle]].now;
                 now.resize(now.len().max(offset + bytes.len()), 0);
-                now[*offset..offset + bytes.len()].copy_from_slice(bytes);
+                now[offset..offset + bytes.len()].copy_from_slice(bytes);
             }
-            DiskOperation::Truncate { handle, length } => self.files[self.open_files[handle]].now.resize(*length, 0),
-            DiskOperation::Sync { handle } => match self.open_files.get(handle) {
+            "cut" => self.files[self.open_files[&number(two(' ').0)]].now.resize(number(two(' ').1), 0),
+            // The contents of a file, or the names in a folder, were synchronised.
+            "sync" => match self.open_files.get(&number(arguments)) {
                 Some(&file) => self.files[file].durable = self.files[file].now.clone(),
-                None => self.sync_names(&self.handles[handle].clone()),
+                None => self.sync_names(&self.handles[&number(arguments)].clone()),
             },
-            DiskOperation::Rename { from, to } => {
-                let node = self.now.remove(from).unwrap();
-                self.now.insert(to.clone(), node);
+            "rename" => {
+                let (from, to) = owned(two('\t'));
+                let node = self.now.remove(&from).unwrap();
+                self.now.insert(to, node);
             }
-            DiskOperation::Link { from, to } => {
-                self.now.insert(to.clone(), self.now[from]);
+            "link" => {
+                let (from, to) = owned(two('\t'));
+                self.now.insert(to, self.now[&from]);
             }
-            DiskOperation::Remove { path } => {
-                self.now.remove(path);
-            }
+            "remove" => drop(self.now.remove(arguments)),
+            other => panic!("{other}"),
         }
     }
 

@@ -8,15 +8,13 @@ use super::*;
 fn odd_fmu_folder_with_resource(what: &str) -> Option<tempfile::TempDir> {
     let place = odd_fmu_folder(what)?;
     fs::create_dir(place.path().join("temporary")).unwrap();
-    let library = compile_library(place.path(), ODD, &format!("-DWHAT={what}"))?;
+    let library = fs::read(place.path().join("library.so")).unwrap();
     let xml = ODD_XML.replace("\"ONCE\"", "\"false\"");
-    let resource = vec![7; 1 << 20];
-    let members: [(&str, &[u8]); 3] = [
-        ("modelDescription.xml", xml.as_bytes()),
-        (&library_member(3, "odd"), &library),
-        ("resources/data", &resource),
-    ];
-    fs::write(place.path().join("odd.fmu"), zip_archive(&members)).unwrap();
+    write_fmu(
+        &place.path().join("odd.fmu"),
+        &xml,
+        &[(&library_member(3, "odd"), &library), ("resources/data", &[7; 1 << 20])],
+    );
     Some(place)
 }
 
@@ -42,19 +40,15 @@ fn start_host(place: &Path) -> Child {
 }
 
 fn simulate_odd(place: &Path) -> std::process::Output {
-    Command::new(env!("CARGO_BIN_EXE_crumple"))
-        .args(["simulate", "paper-1", "--controller", "odd.toml"])
-        .current_dir(place)
-        .env("TMPDIR", place.join("temporary"))
-        .output()
-        .unwrap()
+    let mut simulate = command(place, "simulate paper-1 --controller odd.toml");
+    simulate.env("TMPDIR", place.join("temporary")).output().unwrap()
 }
 
 #[test]
 fn a_run_leaves_no_unpacked_folder_behind() {
     let Some(place) = odd_fmu_folder_with_resource("NOTHING") else { return };
     let ran = simulate_odd(place.path());
-    assert_eq!(exit_code(&ran), 0, "{}", String::from_utf8_lossy(&ran.stderr));
+    assert_eq!(exit_code(&ran), 0, "{}", stderr(&ran));
     assert_eq!(unpacked_folders(place.path()), [] as [&Path; 0]);
 }
 
@@ -83,7 +77,7 @@ fn crashes_leave_at_most_the_folders_of_the_last_hosts() {
     let Some(place) = odd_fmu_folder_with_resource("CRASH") else { return };
     for _ in 0..3 {
         let ran = simulate_odd(place.path());
-        assert!(String::from_utf8_lossy(&ran.stdout).contains("CONTROLLER FAILED"));
+        assert!(stdout(&ran).contains("CONTROLLER FAILED"));
     }
     assert!(unpacked_folders(place.path()).len() <= 2, "{:?}", unpacked_folders(place.path()));
     drop(start_host(place.path()).wait_with_output());
@@ -96,10 +90,9 @@ fn a_library_that_cannot_be_loaded_is_reported_with_the_loaders_reason() {
     let source = "extern int missing_symbol; int *reference = &missing_symbol;";
     let Some(undefined) = compile_library(place.path(), source, "-DNOTHING") else { return };
     for (library, reason) in [(undefined.as_slice(), "missing_symbol"), (&[b'x'; 100], "binaries/")] {
-        let members = [("modelDescription.xml", EXAMPLE_XML.as_bytes()), (&library_member(2, "follower"), library)];
-        fs::write(place.path().join("follower.fmu"), zip_archive(&members)).unwrap();
-        let ran = run_crumple(place.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);
-        let text = String::from_utf8_lossy(&ran.stderr).into_owned();
+        write_fmu(&place.path().join("follower.fmu"), EXAMPLE_XML, &[(&library_member(2, "follower"), library)]);
+        let ran = run_crumple(place.path(), "simulate paper-1 --controller follower.fmu");
+        let text = stderr(&ran);
         assert_eq!(exit_code(&ran), 2, "{text}");
         assert!(text.contains("its library cannot be loaded: ") && text.contains(reason), "{text}");
         assert!(text.contains("build the FMU for this system") && !text.contains("crumple-fmu-run-"), "{text}");

@@ -9,17 +9,14 @@ use std::io::{Cursor, Write as _};
 use std::path::Path;
 use std::process::Command;
 
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::built_in_space;
-use crumple_world::scenario::{Scenario, built_in_scenario};
-use crumple_world::sim::{
-    ControllerKind, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, simulate, simulate_batch,
-};
+use crumple_world::scenario::built_in_scenario;
+use crumple_world::sim::{ControllerKind, NamedController, SimulationResult};
 use rand::{RngExt as _, SeedableRng as _};
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 
-use crate::command_line::{exit_code, run_crumple, temp_folder};
+use crate::command_line::{assert_refused, command, exit_code, run_crumple, stderr, stdout, temp_folder};
+use crate::processes::{draw_scenarios, find_controller, simulate_in_lockstep, simulate_with_truth};
 
 const EXAMPLE: &str = include_str!("../../../examples/controllers/fmu/follower.c");
 const EXAMPLE_XML: &str = include_str!("../../../examples/controllers/fmu/modelDescription.xml");
@@ -61,11 +58,15 @@ pub(crate) fn zip_archive(members: &[(&str, &[u8])]) -> Vec<u8> {
     archive.finish().unwrap().into_inner()
 }
 
+fn write_fmu(path: &Path, xml: &str, members: &[(&str, &[u8])]) {
+    let description = ("modelDescription.xml", xml.as_bytes());
+    fs::write(path, zip_archive(&[&[description], members].concat())).unwrap();
+}
+
 fn example_fmu_folder() -> Option<tempfile::TempDir> {
     let folder = temp_folder();
     let library = compile_library(folder.path(), EXAMPLE, "-DEXAMPLE")?;
-    let members = [("modelDescription.xml", EXAMPLE_XML.as_bytes()), (&library_member(2, "follower"), &library)];
-    fs::write(folder.path().join("follower.fmu"), zip_archive(&members)).unwrap();
+    write_fmu(&folder.path().join("follower.fmu"), EXAMPLE_XML, &[(&library_member(2, "follower"), &library)]);
     Some(folder)
 }
 
@@ -73,8 +74,7 @@ fn odd_fmu_folder(what: &str) -> Option<tempfile::TempDir> {
     let folder = temp_folder();
     let library = compile_library(folder.path(), ODD, &format!("-DWHAT={what}"))?;
     let xml = ODD_XML.replace("\"ONCE\"", if what == "ONCE" { "\"true\"" } else { "\"false\"" });
-    let members = [("modelDescription.xml", xml.as_bytes()), (&library_member(3, "odd"), &library)];
-    fs::write(folder.path().join("odd.fmu"), zip_archive(&members)).unwrap();
+    write_fmu(&folder.path().join("odd.fmu"), &xml, &[(&library_member(3, "odd"), &library)]);
     fs::write(folder.path().join("odd.toml"), ODD_CONTROLLER).unwrap();
     Some(folder)
 }
@@ -99,26 +99,6 @@ quantity = "relative_speed_ahead_mps"
 variable = "rate"
 "#;
 
-fn find_controller(name: &str, folder: &Path) -> NamedController {
-    NamedController::find_for_user(name, folder).unwrap_or_else(|error| panic!("{error}"))
-}
-
-fn simulate_with_truth(controller: &ControllerKind, scenario: &Scenario) -> SimulationResult {
-    let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
-    simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Trace)
-}
-
-fn draw_scenarios(count: u64) -> Vec<Scenario> {
-    let space = built_in_space("high-risk").unwrap();
-    (0..count).map(|index| space.draw(5, index).unwrap().edited(|spec| spec.duration_s = 3.0).unwrap()).collect()
-}
-
-fn simulate_in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> Vec<SimulationResult> {
-    let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
-    let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
-    simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| simulated)
-}
-
 /// FMI 2, FMI 3 with other names, one instance for all runs, and a process without FMI give the same bits in both
 /// engines.
 #[test]
@@ -128,7 +108,7 @@ fn one_controller_drives_the_same_as_fmi_2_fmi_3_and_built_in() {
     fs::write(example.path().join("process.c"), source).unwrap();
     let arguments = ["-O2", "-o", "process", "process.c", "-lm"];
     assert!(Command::new("cc").args(arguments).current_dir(example.path()).status().unwrap().success());
-    let scenarios = draw_scenarios(25);
+    let scenarios = draw_scenarios(5, 25);
     let expected = simulate_in_lockstep(&find_controller("exec:./process", example.path()).kind, &scenarios);
     let by_fmi_2 = find_controller("follower.fmu", example.path()).kind;
     assert_eq!(simulate_in_lockstep(&by_fmi_2, &scenarios), expected);
@@ -201,9 +181,9 @@ fn the_identity_of_an_fmu_is_its_file_and_its_wiring() {
     assert_eq!(identity(elsewhere.path()), first);
     fs::write(elsewhere.path().join("odd.toml"), ODD_CONTROLLER.replace("= 30.0", "= 29.0")).unwrap();
     assert_ne!(identity(elsewhere.path()), first);
-    let search = ["falsify", "--controller", "odd.toml", "--budget", "2", "--out", "found", "--format", "json"];
-    let found = run_crumple(odd.path(), &search);
-    assert!([0, 1].contains(&exit_code(&found)), "{}", String::from_utf8_lossy(&found.stderr));
+    let search = "falsify --controller odd.toml --budget 2 --out found --format json";
+    let found = run_crumple(odd.path(), search);
+    assert!([0, 1].contains(&exit_code(&found)), "{}", stderr(&found));
 }
 
 #[test]
@@ -227,9 +207,12 @@ fn mismatches_with_an_fmu_are_refused_by_file_line_and_field() {
         ("fmu = ", "history = 2\nfmu = ", "odd.toml:2: history: is not for an FMU"),
         ("fmu = ", "files = [\"a\"]\nfmu = ", "odd.toml:2: files: is not for an FMU"),
         ("fmu = ", "command = [\"a\"]\nfmu = ", "odd.toml:2: command: `fmu` is given already: keep one of them"),
-        ("odd.fmu", "none.fmu", "none.fmu: cannot be read: No such file"),
-        ("odd.fmu", ".", "cannot be read: it is not a regular file"),
+        ("odd.fmu", "none.fmu", "odd.toml:2: fmu: there is no file "),
+        ("odd.fmu", ".", "odd.toml:2: fmu: "),
+        ("odd.fmu", ".", " cannot be read: it is not a regular file"),
+        ("odd.fmu", "bad.fmu", "bad.fmu is not an FMU: it is not a zip archive, or it was cut off"),
     ];
+    fs::write(odd.path().join("bad.fmu"), "no archive").unwrap();
     for (was, is, message) in cases {
         fs::write(odd.path().join("odd.toml"), ODD_CONTROLLER.replacen(was, is, 1)).unwrap();
         let error = NamedController::find_for_user("odd.toml", odd.path()).expect_err(is).to_string();
@@ -237,12 +220,8 @@ fn mismatches_with_an_fmu_are_refused_by_file_line_and_field() {
     }
     let bare = NamedController::find_for_user("odd.fmu", odd.path()).expect_err("needs wiring").to_string();
     assert!(bare.contains("odd.fmu: inputs: its input `distance` has not the name of a quantity"), "{bare}");
-    let absent = Command::new(env!("CARGO_BIN_EXE_crumple"))
-        .args(["simulate", "paper-1", "--controller", "odd.toml"])
-        .current_dir(odd.path())
-        .env("CRUMPLE_FMU", "/nowhere")
-        .output()
-        .unwrap();
+    let mut absent = command(odd.path(), "simulate paper-1 --controller odd.toml");
+    let absent = absent.env("CRUMPLE_FMU", "/nowhere").output().unwrap();
     fs::write(odd.path().join("odd.toml"), ODD_CONTROLLER).unwrap();
     assert_eq!(exit_code(&absent), 2);
 }
@@ -305,7 +284,7 @@ fn damaged_fmus_are_refused() {
         (big, "has more than 16777216 bytes"),
     ];
     for (xml, message) in described {
-        fs::write(&path, zip_archive(&[("modelDescription.xml", xml.as_bytes()), (&library, &whole)])).unwrap();
+        write_fmu(&path, &xml, &[(&library, &whole)]);
         let error = refused(message).unwrap_or_else(|| panic!("accepted, should say {message}"));
         assert!(error.contains(message), "{error}\n  should say\n{message}");
     }
@@ -315,14 +294,13 @@ fn damaged_fmus_are_refused() {
         zip_archive(&[("resources/../../evil", xml), ("modelDescription.xml", xml), (&library, xml), (&far, xml)]),
     )
     .unwrap();
-    let ran = run_crumple(example.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);
-    let message = String::from_utf8_lossy(&ran.stderr).into_owned();
-    assert!(exit_code(&ran) == 2 && message.contains("leads out of the archive"), "{message}");
+    let ran = run_crumple(example.path(), "simulate paper-1 --controller follower.fmu");
+    assert_refused(&ran, "leads out of the archive");
     for bytes in [&whole[..700], b"PK", b""] {
         fs::write(&path, bytes).unwrap();
-        let ran = run_crumple(example.path(), &["simulate", "paper-1", "--controller", "follower.fmu"]);
+        let ran = run_crumple(example.path(), "simulate paper-1 --controller follower.fmu");
         assert_eq!(exit_code(&ran), 2);
-        let message = String::from_utf8_lossy(&ran.stderr).into_owned();
+        let message = stderr(&ran);
         assert_eq!(message.matches("follower.fmu: ").count(), 1, "{message}");
     }
 }

@@ -81,9 +81,7 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
 
     let two = temp_folder();
     let library = compile_library(two.path(), &convert_units_in_source(EXAMPLE, 0), "-DEXAMPLE").unwrap();
-    let xml = other_units_xml();
-    let bytes = zip_archive(&[("modelDescription.xml", xml.as_bytes()), (&library_member(2, "follower"), &library)]);
-    fs::write(two.path().join("follower.fmu"), bytes).unwrap();
+    write_fmu(&two.path().join("follower.fmu"), &other_units_xml(), &[(&library_member(2, "follower"), &library)]);
     fs::write(two.path().join("f.toml"), PARAMETERS).unwrap();
     let found = simulate_with_truth(&find_controller("f.toml", two.path()).kind, &scenario);
     let apart_m = largest_difference_m(&expected, &found);
@@ -95,18 +93,11 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
 
     let three = temp_folder();
     let library = compile_library(three.path(), &convert_units_in_source(ODD, 1), "-DWHAT=NOTHING").unwrap();
-    let xml = other_units_odd_xml();
-    fs::write(
-        three.path().join("odd.fmu"),
-        zip_archive(&[("modelDescription.xml", xml.as_bytes()), (&library_member(3, "odd"), &library)]),
-    )
-    .unwrap();
+    write_fmu(&three.path().join("odd.fmu"), &other_units_odd_xml(), &[(&library_member(3, "odd"), &library)]);
     let text = ODD_CONTROLLER.replace("\"set speed\" = 30.0", "\"gap.time\" = 1.0, \"set speed\" = 26.0");
     fs::write(three.path().join("odd.toml"), text).unwrap();
-    let apart_m = largest_difference_m(
-        &expected,
-        &simulate_with_truth(&find_controller("odd.toml", three.path()).kind, &scenario),
-    );
+    let found = simulate_with_truth(&find_controller("odd.toml", three.path()).kind, &scenario);
+    let apart_m = largest_difference_m(&expected, &found);
     assert!(apart_m < 1e-9, "FMI 3: {apart_m} m");
 }
 
@@ -115,12 +106,7 @@ fn an_fmu_that_declares_other_units_drives_as_one_in_si_units() {
 fn units_that_cannot_be_converted_are_refused_by_name() {
     let place = temp_folder();
     let found = |xml: &str, toml: &str| {
-        let library = library_member(2, "follower");
-        fs::write(
-            place.path().join("follower.fmu"),
-            zip_archive(&[("modelDescription.xml", xml.as_bytes()), (&library, b"")]),
-        )
-        .unwrap();
+        write_fmu(&place.path().join("follower.fmu"), xml, &[(&library_member(2, "follower"), b"")]);
         fs::write(place.path().join("f.toml"), toml).unwrap();
         NamedController::find_for_user("f.toml", place.path()).map_err(|error| error.to_string())
     };
@@ -190,8 +176,7 @@ fn units_that_cannot_be_converted_are_refused_by_name() {
 fn numbers_of_a_controller_file_are_in_si_units() {
     let place = temp_folder();
     let library = library_member(2, "follower");
-    let bytes = zip_archive(&[("modelDescription.xml", other_units_xml().as_bytes()), (&library, b"")]);
-    fs::write(place.path().join("follower.fmu"), bytes).unwrap();
+    write_fmu(&place.path().join("follower.fmu"), &other_units_xml(), &[(&library, b"")]);
     let text = "version = 1\nfmu = \"follower.fmu\"\n[[inputs]]\nquantity = \"gap_ahead_m\"\noffset = 3.048\nlow = \
         0.0\nhigh = 60.96\n";
     fs::write(place.path().join("f.toml"), text).unwrap();

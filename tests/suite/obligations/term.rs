@@ -10,13 +10,9 @@ thread_local! {
     static TEXTS: RefCell<Vec<String>> = const { RefCell::new(Vec::new()) };
 }
 
-/// A real number in SMT-LIB 2.
+/// A real number, or a truth value, in SMT-LIB 2.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Term(usize);
-
-/// A truth value in SMT-LIB 2.
-#[derive(Debug, Clone, Copy)]
-pub(super) struct Truth(usize);
 
 fn intern(text: String) -> usize {
     TEXTS.with_borrow_mut(|texts| {
@@ -25,31 +21,17 @@ fn intern(text: String) -> usize {
     })
 }
 
-fn text(term: usize) -> String {
-    TEXTS.with_borrow(|texts| texts[term].clone())
-}
-
 impl Term {
     pub(super) fn symbol(name: &str) -> Self {
         Self(intern(name.to_owned()))
     }
 
     pub(super) fn text(self) -> String {
-        text(self.0)
+        TEXTS.with_borrow(|texts| texts[self.0].clone())
     }
 
     fn binary(operator: &str, one: Self, other: Self) -> Self {
         Self(intern(format!("({operator} {} {})", one.text(), other.text())))
-    }
-}
-
-impl Truth {
-    pub(super) fn text(self) -> String {
-        text(self.0)
-    }
-
-    fn binary(operator: &str, one: usize, other: usize) -> Self {
-        Self(intern(format!("({operator} {} {})", text(one), text(other))))
     }
 }
 
@@ -63,7 +45,7 @@ macro_rules! operators {
         })*
     };
 }
-operators!(Add add "+", Sub sub "-", Mul mul "*", Div div "/",);
+operators!(Add add "+", Sub sub "-", Mul mul "*", Div div "/", BitAnd bitand "and", BitOr bitor "or",);
 
 impl Neg for Term {
     type Output = Self;
@@ -72,37 +54,23 @@ impl Neg for Term {
     }
 }
 
-impl BitAnd for Truth {
-    type Output = Self;
-    fn bitand(self, other: Self) -> Self {
-        Self::binary("and", self.0, other.0)
-    }
-}
-
-impl BitOr for Truth {
-    type Output = Self;
-    fn bitor(self, other: Self) -> Self {
-        Self::binary("or", self.0, other.0)
-    }
-}
-
 impl Real for Term {
-    type Truth = Truth;
+    type Truth = Self;
 
     fn from_f64(value: f64) -> Self {
         let size = format!("{:?}", value.abs());
         Self(intern(if value < 0.0 { format!("(- {size})") } else { size }))
     }
 
-    fn greater_than(self, other: Self) -> Truth {
-        Truth::binary(">", self.0, other.0)
+    fn greater_than(self, other: Self) -> Self {
+        Self::binary(">", self, other)
     }
 
-    fn at_least(self, other: Self) -> Truth {
-        Truth::binary(">=", self.0, other.0)
+    fn at_least(self, other: Self) -> Self {
+        Self::binary(">=", self, other)
     }
 
-    fn select(truth: Truth, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self {
+    fn select(truth: Self, then: impl FnOnce() -> Self, otherwise: impl FnOnce() -> Self) -> Self {
         let (then, otherwise) = (then(), otherwise());
         Self(intern(format!("(ite {} {} {})", truth.text(), then.text(), otherwise.text())))
     }

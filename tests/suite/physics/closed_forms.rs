@@ -1,15 +1,12 @@
 //! Stopping distances and collision times against closed forms, to 1e-9.
 
 use crumple_fuzzing::RunSetup;
-use crumple_world::scenario::{
-    Brake, Driver, Environment, LeadProfile, PiecewiseAcceleration, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors,
-    VehicleClass, VehicleSpec,
-};
+use crumple_world::scenario::{Brake, Driver, LeadProfile, PiecewiseAcceleration, Scenario, VehicleClass, VehicleSpec};
 use crumple_world::sim::SimulationResult;
 use proptest::prelude::*;
 
 use super::trace_of;
-use crate::generate::{any_profile, simulate_traced, with_cases};
+use crate::generate::{any_profile, scenario_spec, simulate_traced, with_cases};
 
 #[derive(Debug, Clone, Copy)]
 struct AcceleratedBody {
@@ -68,18 +65,7 @@ fn two_vehicle_scenario(front: AcceleratedBody, rear: AcceleratedBody, step_s: f
     };
     let mut vehicles = vec![vehicle(front), vehicle(rear)];
     vehicles[0].position_m += 4.0;
-    Scenario::new(ScenarioSpec {
-        version: SCENARIO_VERSION,
-        name: "two bodies".to_owned(),
-        about: String::new(),
-        duration_s: f64::from(steps) * step_s,
-        step_s,
-        seed: 0,
-        environment: Environment::default(),
-        sensors: Sensors::default(),
-        vehicles,
-    })
-    .expect("valid")
+    Scenario::new(scenario_spec("two bodies", step_s, f64::from(steps) * step_s, vehicles)).expect("valid")
 }
 
 fn run(scenario: &Scenario) -> SimulationResult {

@@ -7,7 +7,7 @@ use crumple_world::sim::AfterContact;
 use proptest::prelude::*;
 
 use super::trace_of;
-use crate::generate::{any_scenario, check_oracle, simulate_traced, with_cases};
+use crate::generate::{any_scenario, check_oracle, first_values, simulate_traced, with_cases};
 
 /// A line in which some vehicles never brake and the one ahead of them is slower.
 fn any_pile_up() -> impl Strategy<Value = Scenario> {
@@ -77,12 +77,9 @@ proptest! {
 
 #[test]
 fn pile_ups_pile_up() {
-    use proptest::strategy::ValueTree;
-    let mut runner = proptest::test_runner::TestRunner::deterministic();
-    let strategy = any_pile_up();
     let options = continuing_setup().options(0.01);
-    let impacts: usize = (0..200)
-        .map(|_| simulate_traced(&strategy.new_tree(&mut runner).unwrap().current(), &options).impacts.len())
-        .sum();
+    let strategy = any_pile_up();
+    let scenarios = first_values(200, &strategy);
+    let impacts: usize = scenarios.map(|scenario| simulate_traced(&scenario, &options).impacts.len()).sum();
     assert!(impacts > 200, "{impacts} impacts in 200 scenarios");
 }

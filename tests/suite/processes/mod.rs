@@ -4,7 +4,7 @@ mod unanswered;
 
 use std::fs;
 use std::path::Path;
-use std::process::{Command, Stdio};
+use std::process::Command;
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
@@ -18,8 +18,10 @@ use crumple_world::sim::{
     simulate_batch,
 };
 
-use crate::command_line::falsify::assert_same_folders;
-use crate::command_line::{exit_code, kill_at_random_times, run_crumple, temp_folder};
+use crate::command_line::{
+    assert_refused, assert_survives_kills, exit_code, json_objects, run_crumple, spawn, stderr, stdout, temp_folder,
+};
+use crate::tiny::assert_contains;
 
 const BAD_SCRIPT: &str = include_str!("bad.sh");
 
@@ -37,11 +39,11 @@ fn bad_process_folder(what: &str, files: &str) -> tempfile::TempDir {
 
 const LISTED_FILES: &str = "files = [\"bad.sh\"]";
 
-fn find_controller(name: &str, folder: &Path) -> NamedController {
+pub(crate) fn find_controller(name: &str, folder: &Path) -> NamedController {
     NamedController::find_for_user(name, folder).unwrap_or_else(|error| panic!("{error}"))
 }
 
-fn simulate_with_truth(controller: &ControllerKind, scenario: &Scenario) -> SimulationResult {
+pub(crate) fn simulate_with_truth(controller: &ControllerKind, scenario: &Scenario) -> SimulationResult {
     let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
     simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Trace)
 }
@@ -64,6 +66,12 @@ fn assert_no_process_remains(mark: &str) {
 
 fn short_scenario() -> Scenario {
     built_in_scenario("paper-1").unwrap().edited(|spec| spec.duration_s = 1.0).unwrap()
+}
+
+/// Returns the file of a short scenario, which names the file of its driver.
+fn driven_by(controller: &str) -> String {
+    let driver = format!("{{ file = {{ path = \"{controller}\" }} }}");
+    file::to_toml(&short_scenario()).unwrap().replace("\"under-test\"", &driver)
 }
 
 fn write_short_space(folder: &Path) {
@@ -125,10 +133,7 @@ fn any_process_error_ends_the_run() {
     let failed =
         simulate_with_truth(&find_controller("exec:no-such-command-anywhere", Path::new("")).kind, &scenario).outcome;
     let message = failed.failed_controller().unwrap().to_string();
-    assert!(
-        message.contains("failed at 0.00 s: `no-such-command-anywhere` cannot be started: No such file"),
-        "{message}"
-    );
+    assert_contains(&message, &["failed at 0.00 s: `no-such-command-anywhere` cannot be started: No such file"]);
     assert!(NamedController::find_for_user("exec:sh 'open", Path::new("")).is_err());
     assert!(NamedController::find_for_user("exec:", Path::new("")).is_err());
 }
@@ -142,7 +147,7 @@ fn a_failure_in_a_batch_is_of_one_run() {
         text.replace("    command_mps2 =", "    if gap_m < 9.0:\n        return float('nan')\n    command_mps2 =");
     fs::write(folder.path().join("picky.py"), picky).unwrap();
     let controller = find_controller("exec:python3 picky.py", folder.path()).kind;
-    let scenarios = draw_scenarios(40);
+    let scenarios = draw_scenarios(3, 40);
     let together = simulate_in_lockstep(&controller, &scenarios);
     let failed = together.iter().filter(|one| one.outcome.failed_controller().is_some()).count();
     assert!((1..40).contains(&failed), "{failed}");
@@ -151,12 +156,12 @@ fn a_failure_in_a_batch_is_of_one_run() {
     }
 }
 
-fn draw_scenarios(count: u64) -> Vec<Scenario> {
+pub(crate) fn draw_scenarios(seed: u64, count: u64) -> Vec<Scenario> {
     let space = built_in_space("high-risk").unwrap();
-    (0..count).map(|index| space.draw(3, index).unwrap().edited(|spec| spec.duration_s = 3.0).unwrap()).collect()
+    (0..count).map(|index| space.draw(seed, index).unwrap().edited(|spec| spec.duration_s = 3.0).unwrap()).collect()
 }
 
-fn simulate_in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> Vec<SimulationResult> {
+pub(crate) fn simulate_in_lockstep(controller: &ControllerKind, scenarios: &[Scenario]) -> Vec<SimulationResult> {
     let options = RunOptions::new(controller.clone()).with_estimator(EstimatorKind::Truth);
     let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone()).unwrap()).collect();
     simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| simulated)
@@ -188,21 +193,15 @@ fn the_examples_drive_alike() {
         Ok(compiled) if compiled.status.success() => commands.push("exec:./follower"),
         _ => println!("skipped follower.c: there is no C compiler"),
     }
-    let scenarios = draw_scenarios(30);
+    let scenarios = draw_scenarios(3, 30);
     let first = simulate_in_lockstep(&find_controller(commands[0], folder.path()).kind, &scenarios);
     for command in commands {
         let controller = find_controller(command, folder.path()).kind;
         assert_eq!(simulate_in_lockstep(&controller, &scenarios), first, "{command}");
         assert_eq!(simulate_with_truth(&controller, &scenarios[3]), first[3], "{command}");
     }
-    assert!(
-        simulate_with_truth(
-            &find_controller("follower.toml", folder.path()).kind,
-            &built_in_scenario("paper-1").unwrap()
-        )
-        .outcome
-        .is_safe()
-    );
+    let controller = find_controller("follower.toml", folder.path()).kind;
+    assert!(simulate_with_truth(&controller, &built_in_scenario("paper-1").unwrap()).outcome.is_safe());
 }
 
 /// The first runs are sent twice; after a contradiction the process is not started again.
@@ -228,39 +227,29 @@ fn declared_nondeterminism_is_marked() {
         failed.failed_controller().unwrap().to_string().contains("set `deterministic = false` in its controller file")
     );
     let folder = bad_process_folder("admit", &format!("{LISTED_FILES}\ndeterministic = false"));
-    let simulated =
-        run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "bad.toml", "--format", "json"]);
-    let report: serde_json::Value = serde_json::from_slice(&simulated.stdout).unwrap();
+    let simulated = run_crumple(folder.path(), "simulate paper-1 --controller bad.toml --format json");
+    let report = &json_objects(&simulated)[0];
     assert_eq!(report["nondeterministic"], true, "{report}");
-    let text = run_crumple(folder.path(), &["simulate", "paper-1", "--controller", "exec:sh bad.sh admit"]);
-    let text = String::from_utf8(text.stdout).unwrap();
-    assert!(text.contains("the controller declares that it is not deterministic"), "{text}");
+    let text = run_crumple(folder.path(), "simulate paper-1 --controller 'exec:sh bad.sh admit'");
+    assert_contains(stdout(&text), &["the controller declares that it is not deterministic"]);
     write_short_space(folder.path());
-    let search = ["falsify", "--controller", "bad.toml", "--space", "short.toml", "--budget", "3", "--format", "json"];
-    let summary = run_crumple(folder.path(), &search);
-    let summary: serde_json::Value = serde_json::from_slice(&summary.stdout).unwrap();
-    assert_eq!(summary["nondeterministic"], true);
+    let search = "falsify --controller bad.toml --space short.toml --budget 3 --format json";
+    let summary = run_crumple(folder.path(), search);
+    assert_eq!(json_objects(&summary)[0]["nondeterministic"], true);
 }
 
 #[test]
 fn controllers_without_listed_files_are_not_resumed_certified_or_cached() {
     let folder = bad_process_folder("be good", "");
-    let refused = |arguments: &[&str]| {
-        let output = run_crumple(folder.path(), arguments);
-        assert_eq!(exit_code(&output), 2, "{arguments:?}");
-        String::from_utf8(output.stderr).unwrap()
-    };
+    let refused = |arguments: &str, message: &str| assert_refused(&run_crumple(folder.path(), arguments), message);
     for controller in ["bad.toml", "exec:sh bad.sh"] {
-        let message = refused(&["falsify", "--controller", controller, "--resume"]);
-        assert!(message.contains("states no identity"), "{message}");
-        let message = refused(&["verify", "rate", "--controller", controller, "--runs", "5"]);
-        assert!(message.contains("states no identity"), "{message}");
+        refused(&format!("falsify --controller '{controller}' --resume"), "states no identity");
+        refused(&format!("verify rate --controller '{controller}' --runs 5"), "states no identity");
     }
-    let text =
-        file::to_toml(&short_scenario()).unwrap().replace("\"under-test\"", "{ file = { path = \"bad.toml\" } }");
+    let text = driven_by("bad.toml");
     fs::write(folder.path().join("driven.toml"), text).unwrap();
-    let message = refused(&["simulate", "driven.toml", "--allow-external"]);
-    assert!(message.contains("has no identity: the driver of a scenario must list its `files`"), "{message}");
+    let message = "has no identity: the driver of a scenario must list its `files`";
+    refused("simulate driven.toml --allow-external", message);
     let config = "version = 1\npaper = false\ncontrollers = [\"idm\", \"exec:sh bad.sh\"]\n";
     fs::write(folder.path().join("a.toml"), config).unwrap();
     let plan = AssessmentPlan::load(&folder.path().join("a.toml")).unwrap_or_else(|error| panic!("{error}"));
@@ -271,18 +260,12 @@ fn controllers_without_listed_files_are_not_resumed_certified_or_cached() {
 fn a_scenario_may_have_a_process_as_a_driver() {
     allow_external();
     let folder = bad_process_folder("be good", LISTED_FILES);
-    let text =
-        file::to_toml(&short_scenario()).unwrap().replace("\"under-test\"", "{ file = { path = \"bad.toml\" } }");
+    let text = driven_by("bad.toml");
     let driven = file::from_toml(&text, &folder.path().join("driven.toml")).unwrap_or_else(|error| panic!("{error}"));
     assert!(matches!(&driven.vehicles()[1].driver, Driver::File(_)));
     let under_test = simulate_with_truth(&find_controller("bad.toml", folder.path()).kind, &short_scenario());
-    assert_eq!(
-        simulate_with_truth(
-            &ControllerKind::BuiltIn(crumple_world::control::ControllerSpec::from_name("idm").unwrap()),
-            &driven
-        ),
-        under_test
-    );
+    let idm = crumple_world::control::ControllerSpec::from_name("idm").unwrap();
+    assert_eq!(simulate_with_truth(&idm.into(), &driven), under_test);
 }
 
 #[test]
@@ -339,13 +322,7 @@ fn nothing_stays_behind_a_kill() {
     let mark = folder.path().display().to_string();
     let text = fs::read_to_string(folder.path().join("bad.toml")).unwrap().replace("0.4", "600.0");
     fs::write(folder.path().join("bad.toml"), text).unwrap();
-    let mut killed = Command::new(env!("CARGO_BIN_EXE_crumple"))
-        .current_dir(folder.path())
-        .args(["simulate", "paper-1", "--controller", "bad.toml"])
-        .stdout(Stdio::null())
-        .stderr(Stdio::null())
-        .spawn()
-        .unwrap();
+    let mut killed = spawn(folder.path(), "simulate paper-1 --controller bad.toml");
     let watchdogs = format!("crumple-watchdog-{}", killed.id());
     // Two processes that are sent the same queries, each with a lingering child.
     let end = Instant::now() + Duration::from_secs(60);
@@ -377,20 +354,20 @@ fn ten_thousand_runs_leave_no_process_and_no_descriptor() {
         // Four descriptors for each of at most four processes: two threads, with a second process each in the first
         // runs.
         let script = "ulimit -n 64; exec \"$0\" \"$@\"";
-        let count = ["verify", "rate", "--controller", controller, "--space", "short.toml", "--estimator", "truth"];
+        let count = format!("verify rate --controller {controller} --space short.toml --estimator truth --runs {runs}");
+        let count = format!("{count} --confidence 0.9 --out {runs}");
         let mut counted = Command::new("sh");
-        counted.args(["-c", script, env!("CARGO_BIN_EXE_crumple")]).args(count);
-        counted.args(["--runs", runs, "--confidence", "0.9", "--out", runs]);
+        counted.args(["-c", script, env!("CARGO_BIN_EXE_crumple")]).args(count.split(' '));
         counted.env("RAYON_NUM_THREADS", "2").current_dir(folder.path());
         let counted = counted.output().unwrap();
-        let message = String::from_utf8_lossy(&counted.stderr).into_owned() + &String::from_utf8_lossy(&counted.stdout);
+        let message = format!("{}{}", stderr(&counted), stdout(&counted));
         let expected =
             if controller == "crash.toml" { "(200 failures, of 200 runs" } else { "0 failures, of 10000 runs" };
         assert!(message.contains(expected), "{message}");
         assert_no_process_remains(&mark);
     }
-    let complete = run_crumple(folder.path(), &["fsck", "200"]);
-    let message = String::from_utf8_lossy(&complete.stdout).into_owned();
+    let complete = run_crumple(folder.path(), "fsck 200");
+    let message = stdout(&complete);
     assert!(message.starts_with("200: a count, complete;"), "all is counted, though nothing is shown: {message}");
 }
 
@@ -405,21 +382,8 @@ mod tier_2 {
         let alone =
             crate::tiny::replace_passages(&text, &[("\"follower.py\"]\nfiles", "\"follower.py\", \"alone\"]\nfiles")]);
         fs::write(folder.path().join("alone.toml"), alone).unwrap();
-        let campaign =
-            ["falsify", "--controller", "alone.toml", "--budget", "200", "--seed", "5", "--estimator", "truth"];
-        let through = run_crumple(folder.path(), &[&campaign[..], &["--out", "through"]].concat());
-        assert_eq!(exit_code(&through), 0, "{}", String::from_utf8_lossy(&through.stderr));
-        let resume = [&campaign[..], &["--out", "killed", "--resume"]].concat();
-        let killed =
-            kill_at_random_times(folder.path(), &resume, (0..8).map(|round| 100 + 100 * round..300 + 150 * round));
-        assert!(killed >= 2, "killed {killed} times");
-        let ended = run_crumple(folder.path(), &resume);
-        assert_eq!(
-            (exit_code(&ended), ended.stdout),
-            (0, through.stdout),
-            "{}",
-            String::from_utf8_lossy(&ended.stderr)
-        );
-        assert_same_folders(&folder.path().join("through"), &folder.path().join("killed"));
+        let campaign = "falsify --controller alone.toml --budget 200 --seed 5 --estimator truth";
+        let after_ms = (0..8).map(|round| 100 + 100 * round..300 + 150 * round);
+        assert_eq!(exit_code(&assert_survives_kills(folder.path(), campaign, after_ms)), 0);
     }
 }

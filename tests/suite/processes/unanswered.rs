@@ -5,12 +5,11 @@ use std::path::Path;
 
 use crumple_suites::{CrashMapSituation, CrashMapSpec, SuiteRunError, TestSuite, run};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 use serde_json::Value;
 
-use super::{bad_process_folder, find_controller, short_scenario, simulate_with_truth, write_short_space};
-use crate::command_line::{exit_code, run_crumple, temp_folder};
+use super::{bad_process_folder, driven_by, find_controller, short_scenario, simulate_with_truth, write_short_space};
+use crate::command_line::{exit_code, read_json, run_crumple, stderr, stdout, temp_folder};
 
 /// A controller that keeps its speed, and exits when the gap ahead is below its argument, in whole metres.
 const NEAR_SCRIPT: &str = r#"#!/bin/sh
@@ -50,14 +49,9 @@ fn controllers_folder() -> tempfile::TempDir {
     folder
 }
 
-fn run_and_capture(folder: &Path, arguments: &[&str]) -> (i32, String, String) {
+fn run_and_capture(folder: &Path, arguments: &str) -> (i32, String, String) {
     let output = run_crumple(folder, arguments);
-    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    (exit_code(&output), text(&output.stdout), text(&output.stderr))
-}
-
-fn read_json(path: &Path) -> Value {
-    serde_json::from_str(&fs::read_to_string(path).unwrap()).unwrap()
+    (exit_code(&output), stdout(&output).to_owned(), stderr(&output).to_owned())
 }
 
 const ASSESSMENT: &str = "version = 1\npaper = false\ndistributions = [\"short.toml\"]\ndraws = 8\neveryday_draws = \
@@ -67,17 +61,17 @@ const ASSESSMENT: &str = "version = 1\npaper = false\ndistributions = [\"short.t
 #[test]
 fn a_program_that_cannot_be_started_is_bad_input_and_nothing_is_run() {
     let folder = controllers_folder();
-    let commands: [&[&str]; 10] = [
-        &["simulate", "paper-1", "--controller"],
-        &["falsify", "--space", "short.toml", "--budget", "3", "--out", "out", "--controller"],
-        &["falsify", "--space", "short.toml", "--budget", "3", "--out", "out", "--controller", "idm", "--against"],
-        &["verify", "rate", "--space", "short.toml", "--runs", "5", "--out", "out", "--controller"],
-        &["verify", "rate", "--space", "short.toml", "--runs", "5", "--out", "out", "--controller", "idm", "--against"],
-        &["worst-case", "paper-1", "--controller"],
-        &["suite", "run", "afgbv-cut-in", "--controller"],
-        &["plan", "--budget", "9", "--out", "out", "--controller"],
-        &["explore", "paper-1", "--controller"],
-        &["export", "paper-1", "--to", "openscenario", "--out", "out", "--controller"],
+    let commands = [
+        "simulate paper-1 --controller",
+        "falsify --space short.toml --budget 3 --out out --controller",
+        "falsify --space short.toml --budget 3 --out out --controller idm --against",
+        "verify rate --space short.toml --runs 5 --out out --controller",
+        "verify rate --space short.toml --runs 5 --out out --controller idm --against",
+        "worst-case paper-1 --controller",
+        "suite run afgbv-cut-in --controller",
+        "plan --budget 9 --out out --controller",
+        "explore paper-1 --controller",
+        "export paper-1 --to openscenario --out out --controller",
     ];
     for (controller, place, why) in [
         ("missing.toml", "missing.toml:2: command: ", "`./no-such-program` cannot be started: No such file"),
@@ -90,23 +84,21 @@ fn a_program_that_cannot_be_started_is_bad_input_and_nothing_is_run() {
         ("shield:missing.toml", "missing.toml:2: command: ", "cannot be started"),
     ] {
         for command in commands {
-            let (code, text, error) = run_and_capture(folder.path(), &[command, &[controller]].concat());
+            let (code, text, error) = run_and_capture(folder.path(), &format!("{command} {controller}"));
             assert_eq!(code, 2, "{command:?} {controller}: {text}{error}");
             assert!(error.contains(place) && error.contains(why), "{command:?}: {error}");
             assert!(text.is_empty() && !folder.path().join("out").exists(), "{command:?}: {text}");
         }
         if controller == "missing.toml" {
-            let driven = file::to_toml(&short_scenario())
-                .unwrap()
-                .replace("\"under-test\"", "{ file = { path = \"missing.toml\" } }");
+            let driven = driven_by("missing.toml");
             fs::write(folder.path().join("driven.toml"), driven).unwrap();
-            let (code, _, error) = run_and_capture(folder.path(), &["simulate", "driven.toml", "--allow-external"]);
+            let (code, _, error) = run_and_capture(folder.path(), "simulate driven.toml --allow-external");
             assert!(code == 2 && error.contains("driven.toml: vehicles[1].driver: "), "{error}");
             assert!(error.contains(place) && error.contains(why), "{error}");
         }
         fs::write(folder.path().join("a.toml"), format!("{ASSESSMENT}controllers = [\"idm\", \"{controller}\"]\n"))
             .unwrap();
-        let (code, text, error) = run_and_capture(folder.path(), &["assess", "a.toml", "--out", "out"]);
+        let (code, text, error) = run_and_capture(folder.path(), "assess a.toml --out out");
         assert_eq!(code, 2, "{text}{error}");
         assert!(error.contains("a.toml:9: controllers[1]: ") && error.contains(why), "{error}");
         assert!(!folder.path().join("out").exists());
@@ -116,8 +108,8 @@ fn a_program_that_cannot_be_started_is_bad_input_and_nothing_is_run() {
 #[test]
 fn a_search_reports_the_reason_of_a_missing_answer() {
     let folder = controllers_folder();
-    let search = ["falsify", "--controller", "near.toml", "--space", "short.toml", "--budget", "10", "--out", "out"];
-    let (code, text, error) = run_and_capture(folder.path(), &search);
+    let search = "falsify --controller near.toml --space short.toml --budget 10 --out out";
+    let (code, text, error) = run_and_capture(folder.path(), search);
     let why = "its last output: gap table: index ";
     assert!(code == 0 && text.contains("the controller of vehicle 1 fails") && text.contains(why), "{text}{error}");
     let summary = read_json(&folder.path().join("out/summary.json"));
@@ -128,8 +120,8 @@ fn a_search_reports_the_reason_of_a_missing_answer() {
     let file = summary["counterexamples"][0]["file"].as_str().unwrap().to_owned();
     let scenario = fs::read_to_string(folder.path().join("out").join(file)).unwrap();
     assert!(scenario.contains(why), "{scenario}");
-    let nothing = ["falsify", "--controller", "far.toml", "--space", "short.toml", "--budget", "4", "--out", "none"];
-    let (code, _, error) = run_and_capture(folder.path(), &nothing);
+    let nothing = "falsify --controller far.toml --space short.toml --budget 4 --out none";
+    let (code, _, error) = run_and_capture(folder.path(), nothing);
     assert!(code == 0 && !error.contains("counterexamples"), "{error}");
 }
 
@@ -137,11 +129,8 @@ fn a_search_reports_the_reason_of_a_missing_answer() {
 fn missing_answers_of_the_other_controller_count_for_neither() {
     let folder = controllers_folder();
     let against = |controller: &str, other: &str| {
-        let search = ["falsify", "--space", "short.toml", "--budget", "10", "--out", "out", "--format"];
-        let out = run_and_capture(
-            folder.path(),
-            &[&search[..], &["text", "--controller", controller, "--against", other]].concat(),
-        );
+        let search = "falsify --space short.toml --budget 10 --out out --format";
+        let out = run_and_capture(folder.path(), &format!("{search} text --controller {controller} --against {other}"));
         let summary = read_json(&folder.path().join("out/summary.json"));
         fs::remove_dir_all(folder.path().join("out")).unwrap();
         (out, summary)
@@ -149,9 +138,8 @@ fn missing_answers_of_the_other_controller_count_for_neither() {
     let ((code, text, _), summary) = against("idm", "near.toml");
     assert!(code == 0 && text.contains("NOT COMPARED: `near.toml` gave no answer in "), "{text}");
     assert!(text.contains("gap table: index"), "{text}");
-    let gate =
-        ["falsify", "--space", "short.toml", "--budget", "10", "--out", "gate", "--controller", "idm", "--against"];
-    let (code, _, error) = run_and_capture(folder.path(), &[&gate[..], &["near.toml", "--expect", "nothing"]].concat());
+    let gate = "falsify --space short.toml --budget 10 --out gate --controller idm --against";
+    let (code, _, error) = run_and_capture(folder.path(), &format!("{gate} near.toml --expect nothing"));
     assert!(code == 1 && error.contains("the other controller gave no answer"), "{error}");
     let silent = &summary["methods"][1]["other_unanswered"];
     assert!(silent["runs"].as_u64().is_some_and(|runs| (1..10).contains(&runs)), "{summary}");
@@ -162,10 +150,9 @@ fn missing_answers_of_the_other_controller_count_for_neither() {
     assert_eq!(summary["falsified"], false, "{summary}");
 
     let count = |controller: &str, other: Option<&str>, confidence: &str| {
-        let rate =
-            ["verify", "rate", "--space", "short.toml", "--runs", "60", "--out", "out", "--controller", controller];
-        let other = other.map_or(Vec::new(), |other| vec!["--against", other]);
-        let message = run_and_capture(folder.path(), &[&rate[..], &["--confidence", confidence], &other].concat());
+        let rate = format!("verify rate --space short.toml --runs 60 --out out --controller {controller}");
+        let other = other.map_or(String::new(), |other| format!("--against {other}"));
+        let message = run_and_capture(folder.path(), &format!("{rate} --confidence {confidence} {other}"));
         let tally = read_json(&folder.path().join("out/progress.json"));
         fs::remove_dir_all(folder.path().join("out")).unwrap();
         (message, tally)
@@ -187,23 +174,16 @@ fn missing_answers_of_the_other_controller_count_for_neither() {
 #[test]
 fn a_comparison_is_confirmed_by_the_definition_that_counted_it() {
     let folder = controllers_folder();
-    fs::write(
-        folder.path().join("worse.toml"),
-        fs::read_to_string(folder.path().join("near.toml")).unwrap().replace("24", "33"),
-    )
-    .unwrap();
+    let worse = fs::read_to_string(folder.path().join("near.toml")).unwrap().replace("24", "33");
+    fs::write(folder.path().join("worse.toml"), worse).unwrap();
     // Both give no answer: that counts against the first, and not in favour of the second.
-    let rate = ["verify", "rate", "--space", "short.toml", "--runs", "40", "--confidence", "0.6", "--out", "out"];
-    let (code, text, error) = run_and_capture(
-        folder.path(),
-        &[&rate[..], &["--controller", "near.toml", "--against", "worse.toml"]].concat(),
-    );
+    let rate = "verify rate --space short.toml --runs 40 --confidence 0.6 --controller near.toml";
+    let (code, text, error) = run_and_capture(folder.path(), &format!("{rate} --out out --against worse.toml"));
     assert_eq!(code, 1, "{text}{error}");
-    let (code, text, error) =
-        run_and_capture(folder.path(), &[&rate[..8], &["--out", "one", "--controller", "near.toml"]].concat());
+    let (code, text, error) = run_and_capture(folder.path(), &format!("{rate} --out one"));
     assert_eq!(code, 0, "{text}{error}");
-    let check = ["check", "one/certificate.json", "--rerun", "--controller", "near.toml"];
-    let (code, text, error) = run_and_capture(folder.path(), &check);
+    let check = "check one/certificate.json --rerun --controller near.toml";
+    let (code, text, error) = run_and_capture(folder.path(), check);
     assert!(code == 0 && text.contains("confirmed"), "{text}{error}");
 }
 
@@ -211,25 +191,13 @@ fn a_comparison_is_confirmed_by_the_definition_that_counted_it() {
 fn nothing_is_published_of_a_controller_that_remembers_the_runs_before() {
     let folder = controllers_folder();
     fs::write(folder.path().join("a.toml"), format!("{ASSESSMENT}controllers = [\"idm\", \"bad.toml\"]\n")).unwrap();
-    let commands: [&[&str]; 6] = [
-        &["falsify", "--controller", "bad.toml", "--space", "short.toml", "--budget", "5", "--out", "out"],
-        &[
-            "falsify",
-            "--controller",
-            "idm",
-            "--against",
-            "bad.toml",
-            "--space",
-            "short.toml",
-            "--budget",
-            "5",
-            "--out",
-            "out",
-        ],
-        &["verify", "rate", "--controller", "bad.toml", "--space", "short.toml", "--runs", "9", "--out", "out"],
-        &["suite", "run", "afgbv-cut-in", "--controller", "bad.toml"],
-        &["worst-case", "paper-1", "--controller", "bad.toml", "--budget", "20"],
-        &["assess", "a.toml", "--out", "out"],
+    let commands = [
+        "falsify --controller bad.toml --space short.toml --budget 5 --out out",
+        "falsify --controller idm --against bad.toml --space short.toml --budget 5 --out out",
+        "verify rate --controller bad.toml --space short.toml --runs 9 --out out",
+        "suite run afgbv-cut-in --controller bad.toml",
+        "worst-case paper-1 --controller bad.toml --budget 20",
+        "assess a.toml --out out",
     ];
     for command in commands {
         let (code, text, error) = run_and_capture(folder.path(), command);
@@ -304,7 +272,7 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
     let config =
         format!("{ASSESSMENT}controllers = [\"near.toml\", \"idm\"]\nsubject = \"near.toml\"\n{suites}{gates}");
     fs::write(folder.path().join("a.toml"), config).unwrap();
-    let (code, text, error) = run_and_capture(folder.path(), &["assess", "a.toml", "--out", "out"]);
+    let (code, text, error) = run_and_capture(folder.path(), "assess a.toml --out out");
     assert_eq!(code, 1, "{text}{error}");
     let report = read_json(&folder.path().join("out/assessment.json"));
     let held: Vec<_> =
@@ -355,11 +323,11 @@ fn an_assessment_takes_no_answer_for_nothing_but_that() {
 #[test]
 fn a_worst_case_without_an_answer_has_no_margin() {
     let folder = controllers_folder();
-    let attack = ["worst-case", "paper-1", "--controller", "near.toml", "--budget", "60"];
-    let (code, text, error) = run_and_capture(folder.path(), &attack);
+    let attack = "worst-case paper-1 --controller near.toml --budget 60";
+    let (code, text, error) = run_and_capture(folder.path(), attack);
     assert!(code == 0 && text.contains("CONTROLLER FAILED") && text.contains("gap table: index"), "{text}{error}");
     assert!(!text.contains("margin") && !text.contains("optimum"), "{text}");
-    let (_, text, _) = run_and_capture(folder.path(), &[&attack[..], &["--format", "json"]].concat());
+    let (_, text, _) = run_and_capture(folder.path(), &format!("{attack} --format json"));
     let report: Value = serde_json::from_str(&text).unwrap();
     assert_eq!((&report["margin_m"], &report["method"], &report["found"]), (&Value::Null, &Value::Null, &true.into()));
 }

@@ -22,10 +22,9 @@ use crumple_world::sim::{
     self, Contact, ControllerKind, Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
 };
 use proptest::prelude::*;
-use proptest::strategy::ValueTree;
 use proptest::test_runner::{RngAlgorithm, TestCaseError, TestError, TestRng, TestRunner};
 
-use crate::generate::{any_bytes, any_test_case, with_cases};
+use crate::generate::{any_bytes, any_test_case, first_values, with_cases};
 
 /// A proof about another subject.
 static PROOF: LazyLock<Certificate> = LazyLock::new(|| {
@@ -291,10 +290,9 @@ fn every_oracle_notices_its_fault() {
             _ => Ok(()),
         });
         assert!(matches!(property, Err(TestError::Fail(..))), "the suite misses {fault:?}");
-        let mut runner = TestRunner::deterministic();
         let strategy = any_bytes(TEST_CASE_BYTES);
         // Some faults show in few scenarios: that of the bound only without noise and collisions.
-        let mut inputs = (0..4096).map(|_| strategy.new_tree(&mut runner).unwrap().current());
+        let mut inputs = first_values(4096, &strategy);
         // Any oracle may detect it; the correct program passes all.
         let is_noticed = |bytes: Vec<u8>| {
             let test_case = TestCase::from_bytes(&bytes);

@@ -8,10 +8,10 @@ use crumple_world::control::{
     AebSettings, Baseline, BuiltIn, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego,
 };
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, Scenario, built_in_scenario, file};
+use crumple_world::scenario::{Driver, LeadProfile, Scenario, built_in_scenario, file};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 
-use super::scenes::{Dice, small_scenario};
+use super::scenes::{Dice, small_scenario, with_pieces};
 
 fn options(controller: &str) -> RunOptions {
     RunOptions::new(ControllerSpec::from_name(controller).expect("built in")).with_estimator(EstimatorKind::Truth)
@@ -25,6 +25,10 @@ fn find_attack(
     budget: usize,
 ) -> Option<Attack> {
     attack(scenario, options, aim, envelope, budget, &Quiet).expect("a valid search").attack
+}
+
+fn find_mildest(scenario: &Scenario, controller: &str, envelope: Envelope, budget: usize) -> Option<Attack> {
+    find_attack(scenario, &options(controller), AttackObjective::Mildest, envelope, budget)
 }
 
 /// Returns random braking within the envelope, one acceleration per 0.1 s, and its ∫ a².
@@ -43,8 +47,7 @@ fn random_braking(scenario: &Scenario, envelope: Envelope, dice: &mut Dice) -> (
         accel_mps2.push(now);
     }
     let effort = accel_mps2.iter().map(|a| a * a * 0.1).sum();
-    let script = Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 }));
-    (effort, scenario.edited(|spec| spec.vehicles[0].driver = script).expect("within the envelope"))
+    (effort, with_pieces(scenario, 0, from_s, accel_mps2))
 }
 
 #[test]
@@ -52,8 +55,7 @@ fn the_mildest_profile_is_milder_than_any_sample() {
     for name in ["paper-1", "paper-2"] {
         let scenario = built_in_scenario(name).unwrap();
         let envelope = Envelope::from_scenario(&scenario);
-        let mildest =
-            find_attack(&scenario, &options("baseline"), AttackObjective::Mildest, envelope, 0).expect("collides");
+        let mildest = find_mildest(&scenario, "baseline", envelope, 0).expect("collides");
         assert_eq!(mildest.method, AttackMethod::Exact);
         assert!(mildest.programs <= 40, "{name}: {} programs", mildest.programs);
         assert!(mildest.outcome.contact().is_some());
@@ -79,20 +81,13 @@ fn the_mildest_way_to_be_hit_is_milder_than_any_plain_braking() {
     let mut exact = 0;
     for seed in 0..16 {
         let scenario = small_scenario(seed).edited(|spec| spec.vehicles.truncate(2)).unwrap();
-        let found = find_attack(
-            &scenario,
-            &options("baseline"),
-            AttackObjective::Mildest,
-            Envelope::from_scenario(&scenario),
-            0,
-        );
+        let found = find_mildest(&scenario, "baseline", Envelope::from_scenario(&scenario), 0);
         let steps = scenario.steps();
         let plain = (0..=90).map(|tenths| {
             let accel_mps2: Vec<f64> = (1..=steps).map(|step| -(0.1 * f64::from(tenths)).min(step as f64)).collect();
             let effort = accel_mps2.iter().map(|a| a * a * 0.1).sum::<f64>();
             let from_s = (0..steps).map(|step| step as f64 * 0.1).collect();
-            let script = Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 }));
-            (effort, scenario.edited(|spec| spec.vehicles[0].driver = script).unwrap())
+            (effort, with_pieces(&scenario, 0, from_s, accel_mps2))
         });
         let collides = |scenario: &Scenario| {
             let run = Run::new(scenario, options("baseline")).unwrap();
@@ -152,8 +147,7 @@ fn no_plain_pulse_is_milder_than_the_profile_found() {
     for (name, controller) in [("paper-1", "idm"), ("paper-1", "acc-aeb"), ("paper-2", "idm")] {
         let scenario = built_in_scenario(name).unwrap();
         let envelope = Envelope::from_scenario(&scenario);
-        let found =
-            find_attack(&scenario, &options(controller), AttackObjective::Mildest, envelope, 3000).expect("collides");
+        let found = find_mildest(&scenario, controller, envelope, 3000).expect("collides");
         assert_eq!((found.method, found.method.optimality()), (AttackMethod::Sequential, "best-found"));
         let cells = scenario.steps() / 10;
         let pulses = (1..=30).flat_map(|depth| (2..60).step_by(2).map(move |length| (f64::from(depth) * 0.25, length)));
@@ -167,8 +161,7 @@ fn no_plain_pulse_is_milder_than_the_profile_found() {
             let accel_mps2: Vec<f64> = (0..cells).map(held).collect();
             let effort_m2ps3 = accel_mps2.iter().map(|a| 0.1 * a * a).sum::<f64>();
             let from_s = (0..cells).map(|cell| 0.1 * cell as f64).collect();
-            let script = Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 }));
-            (effort_m2ps3, scenario.edited(|spec| spec.vehicles[0].driver = script).unwrap())
+            (effort_m2ps3, with_pieces(&scenario, 0, from_s, accel_mps2))
         });
         let scripted: Vec<_> = scripted.collect();
         let runs: Vec<_> = scripted.iter().map(|(_, s)| Run::new(s, options(controller)).unwrap()).collect();
@@ -199,7 +192,7 @@ impl ControllerSource for OutsideBaseline {
 
 fn compare_with_exact(scenario: &Scenario, most_m2ps3: f64) {
     let envelope = Envelope::from_scenario(scenario);
-    let exact = find_attack(scenario, &options("baseline"), AttackObjective::Mildest, envelope, 0).expect("collides");
+    let exact = find_mildest(scenario, "baseline", envelope, 0).expect("collides");
     // A black-box copy of the controller uses the other method.
     let custom = RunOptions { controller: std::sync::Arc::new(OutsideBaseline).into(), ..options("baseline") };
     let found = find_attack(scenario, &custom, AttackObjective::Mildest, envelope, 3000).expect("collides");
@@ -215,7 +208,7 @@ fn a_jerk_without_bounds_is_none() {
     for controller in ["baseline", "idm"] {
         let effort = |jerk_mps3| {
             let envelope = Envelope { jerk_mps3, ..Envelope::from_scenario(&scenario) };
-            let found = find_attack(&scenario, &options(controller), AttackObjective::Mildest, envelope, 400);
+            let found = find_mildest(&scenario, controller, envelope, 400);
             found.expect("collides").effort_m2ps3
         };
         assert_eq!(effort(1e308), effort(1e6), "{controller}");
@@ -224,7 +217,7 @@ fn a_jerk_without_bounds_is_none() {
     // The exact result can only get milder with more freedom.
     let exact = |jerk_mps3| {
         let envelope = Envelope { jerk_mps3, ..Envelope::from_scenario(&scenario) };
-        let found = find_attack(&scenario, &options("baseline"), AttackObjective::Mildest, envelope, 0);
+        let found = find_mildest(&scenario, "baseline", envelope, 0);
         found.expect("collides").effort_m2ps3
     };
     assert!(exact(1e308) <= exact(10.0) * (1.0 + 1e-3), "{} against {}", exact(1e308), exact(10.0));
@@ -264,13 +257,7 @@ fn delayed_or_noisy_controllers_are_not_enumerated() {
     ];
     for (index, change) in changes.into_iter().enumerate() {
         let scenario = built_in_scenario("paper-1").unwrap().edited(change).unwrap();
-        let found = find_attack(
-            &scenario,
-            &options("baseline"),
-            AttackObjective::Mildest,
-            Envelope::from_scenario(&scenario),
-            200,
-        );
+        let found = find_mildest(&scenario, "baseline", Envelope::from_scenario(&scenario), 200);
         assert_eq!(found.expect("collides").method, AttackMethod::Sequential, "change {index}");
     }
 }
@@ -283,19 +270,11 @@ fn nonsense_is_refused() {
     let reacting = scenario.edited(|spec| {
         spec.vehicles[0].driver = Driver::Controller(ControllerSpec::from_name("idm").expect("built in"));
     });
-    assert!(
-        attack(
-            &reacting.unwrap(),
-            &options("idm"),
-            AttackObjective::Mildest,
-            Envelope::from_scenario(&scenario),
-            100,
-            &Quiet
-        )
-        .is_err()
-    );
+    let envelope = Envelope::from_scenario(&scenario);
+    let refused = attack(&reacting.unwrap(), &options("idm"), AttackObjective::Mildest, envelope, 100, &Quiet);
+    assert!(refused.is_err());
     // A single pair whose follower matches its leader: no collision is possible.
     let pair = scenario.edited(|spec| spec.vehicles.truncate(2)).unwrap();
     let gentle = Envelope { max_brake_mps2: 1.0, jerk_mps3: 10.0 };
-    assert!(find_attack(&pair, &options("match-leader"), AttackObjective::Mildest, gentle, 500).is_none());
+    assert!(find_mildest(&pair, "match-leader", gentle, 500).is_none());
 }

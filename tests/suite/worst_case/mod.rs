@@ -18,7 +18,7 @@ use crumple_world::scenario::{Brake, Driver, LeadProfile, Scenario, ScenarioSpec
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
 use serde_json::Value;
 
-use scenes::{random_scenario, scenario_of_scene, small_scenario, with_profile};
+use scenes::{random_scenario, scenario_of_scene, small_scenario, with_pieces};
 
 /// Decides avoidability. Checks that the checker accepts the bound of an escape, and rejects a smaller one.
 fn decide_with_bound(scenario: &Scenario) -> Avoidance {
@@ -40,6 +40,16 @@ fn run(scenario: &Scenario, controller: &ControllerSpec, estimator: EstimatorKin
     let options = RunOptions::new(controller.clone()).with_estimator(estimator);
     let options = options.with_dt_s(scenario.spec().step_s / parts);
     simulate(&Run::new(scenario, options).expect("fits"), RecordingLevel::Summary)
+}
+
+/// Simulates a scenario with scripts in all vehicles, at a part of its step.
+fn replay(scenario: &Scenario, parts: f64) -> SimulationResult {
+    run(scenario, &ControllerSpec::MatchLeader(Default::default()), EstimatorKind::Truth, parts)
+}
+
+fn scenario_ranges<const N: usize>(ranges: [(&str, f64, f64); N]) -> ScenarioRanges {
+    let ranges = ranges.map(|(field, low, high)| FieldRange { field: field.into(), low, high });
+    ScenarioRanges { version: 1, ranges: ranges.into() }
 }
 
 fn smallest_gap_m(simulated: &SimulationResult) -> f64 {
@@ -70,8 +80,7 @@ fn the_papers_collisions_were_avoidable() {
         let text = file::to_toml(&escape.scenario).unwrap();
         let escape_file = file::from_toml(&text, "escape.toml".as_ref()).unwrap();
         for parts in [1.0, 10.0] {
-            let replayed =
-                run(&escape_file, &ControllerSpec::MatchLeader(Default::default()), EstimatorKind::Truth, parts);
+            let replayed = replay(&escape_file, parts);
             assert_eq!(replayed.outcome, Outcome::NoCollision, "{name}");
         }
         let certificate = certify(&ScenarioBox::point(&scenario), escape).expect("accepted");
@@ -167,8 +176,9 @@ fn brute_force_m(scenario: &Scenario) -> f64 {
     let spans = scenario.steps() / 5;
     let gap_m = |code: usize| {
         let pieces = (0..spans).map(|span| choices[code / 3_usize.pow(span as u32) % 3]).collect();
-        let scripted = with_profile(scenario, pieces, 0.5);
-        smallest_gap_m(&run(&scripted, &ControllerSpec::MatchLeader(Default::default()), EstimatorKind::Truth, 1.0))
+        let from_s = (0..spans).map(|span| span as f64 * 0.5).collect();
+        let scripted = with_pieces(scenario, 1, from_s, pieces);
+        smallest_gap_m(&replay(&scripted, 1.0))
     };
     (0..3_usize.pow(spans as u32)).map(gap_m).fold(f64::NEG_INFINITY, f64::max)
 }
@@ -320,7 +330,7 @@ fn is_true_statement(original: &Certificate, mutant: &Value) -> bool {
         (_, Statement::Unavoidable(claim)) => scenario_of_scene(&claim.scene, &[])
             .is_none_or(|scenario| !matches!(decide_with_bound(&scenario).verdict, AvoidanceVerdict::Avoidable(_))),
         (_, Statement::Avoidable(claim)) => scenario_of_scene(&claim.scene, &claim.witness).is_none_or(|scenario| {
-            let replayed = run(&scenario, &ControllerSpec::MatchLeader(Default::default()), EstimatorKind::Truth, 10.0);
+            let replayed = replay(&scenario, 10.0);
             smallest_gap_m(&replayed) >= claim.min_gap_m_at_least.unwrap_or(0.0).max(1e-12)
         }),
         (_, other) => panic!("a mutant of another kind: {}", other.name()),
@@ -330,13 +340,9 @@ fn is_true_statement(original: &Certificate, mutant: &Value) -> bool {
 #[test]
 fn a_box_is_decided_as_a_whole() {
     let paper_1 = built_in_scenario("paper-1").unwrap();
-    let ranges = |low, high| ScenarioRanges {
-        version: 1,
-        ranges: vec![
-            FieldRange { field: "vehicles[0].driver.brake.rate_mps2".into(), low, high },
-            FieldRange { field: "vehicles[1].position_m".into(), low: 17.9, high: 18.1 },
-        ],
-    };
+    let (rate, onset, speed) =
+        ("vehicles[0].driver.brake.rate_mps2", "vehicles[0].driver.brake.onset_s", "vehicles[1].speed_mps");
+    let ranges = |low, high| scenario_ranges([(rate, low, high), ("vehicles[1].position_m", 17.9, 18.1)]);
     let family = ScenarioBox::new(&paper_1, &ranges(2.9, 3.1)).unwrap();
     let avoidance = avoid_box(&family, AvoidOptions::default()).unwrap();
     let AvoidanceVerdict::Avoidable(escape) = &avoidance.verdict else { panic!("{:?}", avoidance.verdict) };
@@ -344,24 +350,8 @@ fn a_box_is_decided_as_a_whole() {
     check_certificate(&certificate);
     assert!(covers_scenario(&certificate, &paper_1), "a scenario of the box");
     for rate_mps2 in [2.9, 3.0, 3.1] {
-        let scenario = ScenarioBox::new(
-            &escape.scenario,
-            &ScenarioRanges {
-                version: 1,
-                ranges: vec![FieldRange {
-                    field: "vehicles[0].driver.brake.rate_mps2".into(),
-                    low: rate_mps2,
-                    high: rate_mps2,
-                }],
-            },
-        );
-        let replayed = run(
-            scenario.unwrap().centre(),
-            &ControllerSpec::MatchLeader(Default::default()),
-            EstimatorKind::Truth,
-            10.0,
-        );
-        assert_eq!(replayed.outcome, Outcome::NoCollision);
+        let member = ScenarioBox::new(&escape.scenario, &scenario_ranges([(rate, rate_mps2, rate_mps2)])).unwrap();
+        assert_eq!(replay(member.centre(), 10.0).outcome, Outcome::NoCollision);
     }
     // No car stops from 25 m/s in 16 m before a wall, at any position in the box.
     let wall = paper_1.edited(|s| s.vehicles[0].speed_mps = 0.0).unwrap();
@@ -370,10 +360,7 @@ fn a_box_is_decided_as_a_whole() {
         panic!()
     };
     check_certificate(&proof);
-    let speeds = |low, high| ScenarioRanges {
-        version: 1,
-        ranges: vec![FieldRange { field: "vehicles[1].speed_mps".into(), low, high }],
-    };
+    let speeds = |low, high| scenario_ranges([(speed, low, high)]);
     let wide = ScenarioBox::new(&wall, &speeds(18.0, 40.0)).unwrap();
     let AvoidanceVerdict::Unavoidable(proof) = avoid_box(&wide, AvoidOptions::default()).unwrap().verdict else {
         panic!()
@@ -382,23 +369,18 @@ fn a_box_is_decided_as_a_whole() {
     let partly = ScenarioBox::new(&wall, &speeds(10.0, 40.0)).unwrap();
     assert!(matches!(avoid_box(&partly, AvoidOptions::default()).unwrap().verdict, AvoidanceVerdict::Undecided(_)));
     // One profile escapes for all onsets of the braking.
-    let onset = |low, high| ScenarioRanges {
-        version: 1,
-        ranges: vec![FieldRange { field: "vehicles[0].driver.brake.onset_s".into(), low, high }],
-    };
-    let family = ScenarioBox::new(&paper_1, &onset(0.9, 1.1)).unwrap();
+    let onsets = |low, high| scenario_ranges([(onset, low, high)]);
+    let family = ScenarioBox::new(&paper_1, &onsets(0.9, 1.1)).unwrap();
     let AvoidanceVerdict::Avoidable(escape) = avoid_box(&family, AvoidOptions::default()).unwrap().verdict else {
         panic!()
     };
     check_certificate(&certify(&family, &escape).unwrap());
     for onset_s in [0.9, 1.0, 1.1] {
-        let member = ScenarioBox::new(&escape.scenario, &onset(onset_s, onset_s)).unwrap();
-        let replayed =
-            run(member.centre(), &ControllerSpec::MatchLeader(Default::default()), EstimatorKind::Truth, 10.0);
+        let member = ScenarioBox::new(&escape.scenario, &onsets(onset_s, onset_s)).unwrap();
+        let replayed = replay(member.centre(), 10.0);
         assert!(smallest_gap_m(&replayed) >= escape.min_gap_m - 1e-9, "{onset_s}");
     }
-    let bad = ScenarioRanges { version: 1, ranges: vec![FieldRange { field: "seed".into(), low: 0.0, high: 1.0 }] };
-    assert!(ScenarioBox::new(&paper_1, &bad).is_err());
+    assert!(ScenarioBox::new(&paper_1, &scenario_ranges([("seed", 0.0, 1.0)])).is_err());
 }
 
 #[test]

@@ -9,10 +9,10 @@ use crumple_search::worst_case::{AvoidOptions, Avoidance, AvoidanceVerdict, Emer
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
-use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, Scenario, file};
+use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 
-use super::scenes::Dice;
+use super::scenes::{Dice, with_pieces};
 
 /// Tries between two updates of the best profiles.
 const BATCH: usize = 250;
@@ -110,8 +110,7 @@ fn normalise_profile(scenario: &Scenario, mut pieces: Vec<(f64, f64)>) -> Vec<(f
 fn simulate_profiles(scenario: &Scenario, profiles: Vec<Vec<(f64, f64)>>) -> Vec<TriedProfile> {
     let scripted = |pieces: &Vec<(f64, f64)>| {
         let (from_s, accel_mps2) = pieces.iter().copied().unzip();
-        let script = Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 }));
-        scenario.edited(|spec| spec.vehicles[1].driver = script).expect("within the limits")
+        with_pieces(scenario, 1, from_s, accel_mps2)
     };
     let scenarios: Vec<_> = profiles.iter().map(scripted).collect();
     let runs: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, script_options()).expect("fits")).collect();

@@ -4,9 +4,10 @@ use crumple_verify::{ConstantPiece, Scene};
 use crumple_world::control::{AebSettings, ControllerSpec};
 use crumple_world::random::derived_seed;
 use crumple_world::scenario::{
-    Brake, Driver, Environment, LeadProfile, PiecewiseAcceleration, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors,
-    VehicleClass, VehicleSpec,
+    Brake, Driver, Environment, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
+
+use crate::generate::scenario_spec;
 
 /// Numbers between 0 and 1 that depend on a seed alone.
 pub(crate) struct Dice(pub(crate) u64);
@@ -55,7 +56,11 @@ pub(crate) fn random_scenario(seed: u64) -> Scenario {
         vehicles.push(follower);
     }
     let friction = if dice.one_in(2.0) { 1.0 } else { dice.between(0.25, 1.0) };
-    scenario_from_gaps(format!("random-{seed}"), 0.01, 15.0, friction, vehicles)
+    let name = format!("random-{seed}");
+    scenario_from_gaps(ScenarioSpec {
+        environment: Environment { friction },
+        ..scenario_spec(&name, 0.01, 15.0, vehicles)
+    })
 }
 
 pub(crate) fn small_scenario(seed: u64) -> Scenario {
@@ -68,40 +73,23 @@ pub(crate) fn small_scenario(seed: u64) -> Scenario {
     let driver = Driver::Controller(ControllerSpec::Baseline(AebSettings::default()));
     let follower =
         VehicleSpec::new(VehicleClass::Heavy, dice.between(3.0, 12.0), ego_mps + dice.between(0.0, 4.0), driver);
-    scenario_from_gaps(format!("small-{seed}"), 0.1, 3.0, 1.0, vec![leader, ego, follower])
+    scenario_from_gaps(scenario_spec(&format!("small-{seed}"), 0.1, 3.0, vec![leader, ego, follower]))
 }
 
 /// Builds a scenario in which positions are still gaps ahead.
-fn scenario_from_gaps(
-    name: String,
-    step_s: f64,
-    duration_s: f64,
-    friction: f64,
-    mut vehicles: Vec<VehicleSpec>,
-) -> Scenario {
+fn scenario_from_gaps(mut spec: ScenarioSpec) -> Scenario {
     let mut rear_bumper_m = 0.0;
-    for vehicle in &mut vehicles {
+    for vehicle in &mut spec.vehicles {
         vehicle.position_m = rear_bumper_m - vehicle.position_m;
         rear_bumper_m = vehicle.position_m - vehicle.length_m();
     }
-    let spec = ScenarioSpec {
-        version: SCENARIO_VERSION,
-        name,
-        about: String::new(),
-        duration_s,
-        step_s,
-        seed: 0,
-        environment: Environment { friction },
-        sensors: Sensors::default(),
-        vehicles,
-    };
     Scenario::new(spec).expect("valid by construction")
 }
 
-pub(crate) fn with_profile(scenario: &Scenario, accel_mps2: Vec<f64>, held_s: f64) -> Scenario {
-    let from_s = (0..accel_mps2.len()).map(|piece| piece as f64 * held_s).collect();
+/// Scripts a vehicle, within its limits.
+pub(crate) fn with_pieces(scenario: &Scenario, vehicle: usize, from_s: Vec<f64>, accel_mps2: Vec<f64>) -> Scenario {
     let script = Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 }));
-    scenario.edited(|spec| spec.vehicles[1].driver = script).expect("within its limits")
+    scenario.edited(|spec| spec.vehicles[vehicle].driver = script).expect("within the limits")
 }
 
 /// Returns the scenario that the scene of a certificate describes, with a profile for each ego if there are any; `None`
@@ -141,16 +129,6 @@ pub(crate) fn scenario_of_scene(scene: &Scene, witness: &[Vec<ConstantPiece<f64>
         vehicle.reaction_delay_s = f64::from(follower.reaction_steps) * scene.step_s;
         vehicles.push(vehicle);
     }
-    Scenario::new(ScenarioSpec {
-        version: SCENARIO_VERSION,
-        name: "mutant".to_owned(),
-        about: String::new(),
-        duration_s: f64::from(scene.steps) * scene.step_s,
-        step_s: scene.step_s,
-        seed: 0,
-        environment: Environment::default(),
-        sensors: Sensors::default(),
-        vehicles,
-    })
-    .ok()
+    let duration_s = f64::from(scene.steps) * scene.step_s;
+    Scenario::new(scenario_spec("mutant", scene.step_s, duration_s, vehicles)).ok()
 }

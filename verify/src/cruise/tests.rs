@@ -31,11 +31,8 @@ proptest! {
     /// Checks both ends of all bounds of a period against the formulas, and that the simulation lies between them.
     #[test]
     fn a_period_is_as_its_closed_forms_say(v in 5.0..35.0_f64, gamma in -15.0..15.0_f64, a in -15.0..15.0_f64) {
-        let car = CarState {
-            distance: AffineForm::default(),
-            speed: AffineForm::constant(point(v)),
-            gamma: AffineForm::constant(point(gamma)),
-        };
+        let gamma_form = AffineForm::constant(point(gamma));
+        let car = CarState { gamma: gamma_form, ..CarState::from_speed(AffineForm::constant(point(v))) };
         let (after, meanwhile) = car.advance(&AffineForm::constant(point(a)), &PeriodCoefficients::new(), 0).unwrap();
         let forcing = [2.0 * a - 1e-4 * (v + 2.0).powi(2), 2.0 * a - 1e-4 * (v - 2.0).powi(2)];
         let gammas = [gamma.min(forcing[0] / 2.0), gamma.max(forcing[1] / 2.0)];
@@ -71,11 +68,8 @@ fn a_speed_that_may_reach_the_trial_bound_is_undecided() {
         for ulps in (-20_000..=20_i64).step_by(2) {
             let gamma = f64::from_bits(20.0_f64.to_bits().wrapping_add_signed(ulps));
             let gamma = Interval::new(gamma.min(0.0), gamma).map(|up| if sign > 0.0 { up } else { -up }).unwrap();
-            let car = CarState {
-                distance: AffineForm::default(),
-                speed: AffineForm::constant(point(30.0)),
-                gamma: AffineForm::constant(gamma),
-            };
+            let gamma = AffineForm::constant(gamma);
+            let car = CarState { gamma, ..CarState::from_speed(AffineForm::constant(point(30.0))) };
             let before = car.speed.range();
             let within = before + period.time.hull(Interval::ZERO) * car.gamma.range();
             let tried = before + Interval::around_zero(SPEED_ENCLOSURE_RADIUS_MPS);

@@ -30,7 +30,7 @@ pub(super) struct BrakingVehicle {
 }
 
 /// Distance, speed and the acceleration of the step before.
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct VehicleState {
     pub(super) distance: AffineForm,
     pub(super) speed: AffineForm,
@@ -98,7 +98,7 @@ impl BrakingVehicle {
         let k = f64::from(k);
         let coasting = self.speed.scaled(Interval::point(k) * step);
         if self.onset_range.low() >= k || self.rate.is_zero() {
-            return VehicleState { distance: coasting, speed: self.speed.clone(), acceleration: AffineForm::default() };
+            return VehicleState { distance: coasting, speed: self.speed.clone(), ..VehicleState::default() };
         }
         let since = AffineForm::constant(Interval::point(k)).minus(&self.onset);
         let free = self.speed.clone().minus(&self.rate.times(&relu(&since).scaled(step)));

@@ -6,9 +6,8 @@
 //! split into moving and standing members, as [`ego_set`](super::ego_set) does for a whole interval.
 
 use super::braking::VehicleState;
-use super::ego_set::{EgoSet, MotionMode};
+use super::ego_set::{EgoSet, MotionMode, advance_ego};
 use super::form::AffineForm;
-use super::relax::{relu, relu_above};
 use crate::interval::Interval;
 
 pub(super) enum CommandProfile {
@@ -36,7 +35,7 @@ impl CommandProfile {
         let mut ego = start.clone();
         for j in 0..steps {
             let wanted = acceleration(j, &ego);
-            let later = advance_step(&ego, &wanted, step);
+            let later = VehicleState { acceleration: AffineForm::default(), ..advance_ego(&ego, &wanted, step, step) };
             egos.push(std::mem::replace(&mut ego, later));
             accelerations.push(wanted);
         }
@@ -92,26 +91,6 @@ impl CommandProfile {
         };
         mode == MotionMode::Standing && stood && self.accelerations_mps2().high() <= 0.0
     }
-}
-
-/// Advances all egos by a step; those that stop get a speed of 0.
-fn advance_step(
-    VehicleState { distance, speed, .. }: &VehicleState,
-    wanted: &AffineForm,
-    step: Interval,
-) -> VehicleState {
-    let half = Interval::point(0.5);
-    if speed.is_zero() {
-        let acceleration = relu(wanted);
-        let distance = distance.clone().plus(&acceleration.scaled(step.sqr() * half));
-        return VehicleState { distance, speed: acceleration.scaled(step), acceleration: AffineForm::default() };
-    }
-    let end = speed.clone().plus(&wanted.scaled(step));
-    let most_reversing = (-wanted.range()).max(Interval::ZERO) * step;
-    let reversing = (-end.range()).max(Interval::ZERO).min(most_reversing).hull(Interval::ZERO);
-    let mut distance = distance.clone().plus(&speed.scaled(step)).plus(&wanted.scaled(step.sqr() * half));
-    distance.shift((reversing * step * half).hull(Interval::ZERO));
-    VehicleState { distance, speed: relu_above(&end, -most_reversing.high()), acceleration: AffineForm::default() }
 }
 
 #[cfg(test)]

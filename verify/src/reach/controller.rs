@@ -170,39 +170,29 @@ pub struct NativePolicy {
 
 impl From<NativePolicy> for NeuralController {
     fn from(own: NativePolicy) -> Self {
-        let NativePolicy {
-            layers,
-            offset,
-            scale,
-            limit,
-            empty_gap_m,
-            action_bounds_mps2: action_mps2,
-            residual_over,
-            decision_interval_s,
-        } = own;
         let input = |i: usize| ControllerInput {
             coefficients: std::array::from_fn(|j| f64::from(u8::from(i == j))),
             constant: 0.0,
             absent_value: None,
-            offset: offset[i],
-            scale: scale[i],
-            low: -limit,
-            high: limit,
+            offset: own.offset[i],
+            scale: own.scale[i],
+            low: -own.limit,
+            high: own.limit,
         };
-        let [low, high] = action_mps2;
+        let [low, high] = own.action_bounds_mps2;
         let stretched = [0.5 * (high - low), 0.5 * (low + high)];
-        let [scale_mps2, offset_mps2] = if residual_over.is_some() { [1.0, 0.0] } else { stretched };
+        let [scale_mps2, offset_mps2] = if own.residual_over.is_some() { [1.0, 0.0] } else { stretched };
         Self {
             inputs: (0..OBSERVATION_SIZE).map(input).collect(),
-            layers: interleave_relu(layers).chain([NetworkLayer::Activation(Activation::Tanh)]).collect(),
+            layers: interleave_relu(own.layers).chain([NetworkLayer::Activation(Activation::Tanh)]).collect(),
             output_index: 0,
             scale_mps2,
             offset_mps2,
-            action_bounds_mps2: action_mps2,
+            action_bounds_mps2: own.action_bounds_mps2,
             is_clipped: false,
-            residual_over,
-            empty_gap_m,
-            decision_interval_s,
+            residual_over: own.residual_over,
+            empty_gap_m: own.empty_gap_m,
+            decision_interval_s: own.decision_interval_s,
             source: None,
         }
     }

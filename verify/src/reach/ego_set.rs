@@ -65,7 +65,7 @@ impl EgoSet {
     /// Creates egos with a speed; the first `shared` symbols are shared with other sets.
     pub(super) fn from_speed(speed: AffineForm, shared: usize) -> Self {
         let mode = if speed.is_zero() { MotionMode::Standing } else { MotionMode::Moving };
-        let ego = VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
+        let ego = VehicleState { speed, ..VehicleState::default() };
         Self { mode, ego, follower: None, first_own_symbol: shared, next_symbol: shared }
     }
 
@@ -93,30 +93,20 @@ impl EgoSet {
         let VehicleState { distance, speed, .. } = &self.ego;
         let [until_last, time] =
             [decision_steps - 1, decision_steps].map(|steps| Interval::point(f64::from(steps)) * step);
-        let half = Interval::point(0.5);
-        let free = |time: Interval| speed.clone().plus(&wanted.scaled(time));
-        let (before_last, command) = (free(until_last).range(), wanted.range());
-        let braking = (-command).max(Interval::ZERO);
         if speed.is_zero() {
-            let acceleration = relu(wanted);
-            let mode = if acceleration.is_zero() { MotionMode::Standing } else { MotionMode::Restarted };
-            let travelled = distance.clone().plus(&acceleration.scaled(time.sqr() * half));
-            return [Some(self.with_state(mode, travelled, acceleration.scaled(time), acceleration)), None];
+            let ego = advance_ego(&self.ego, wanted, time, step);
+            let mode = if ego.acceleration.is_zero() { MotionMode::Standing } else { MotionMode::Restarted };
+            return [Some(self.with_ego_in_mode(mode, ego)), None];
         }
-        let moving = || {
-            // The unclipped update of a vehicle that stops in the last step ends at >= -b h.
-            let end = free(time);
-            let most_reversing = braking * step;
-            let reversing = (-end.range()).max(Interval::ZERO).min(most_reversing).hull(Interval::ZERO);
-            let mut travelled = distance.clone().plus(&speed.scaled(time)).plus(&wanted.scaled(time.sqr() * half));
-            travelled.shift((reversing * step * half).hull(Interval::ZERO));
-            self.with_state(self.mode, travelled, relu_above(&end, -most_reversing.high()), wanted.clone())
-        };
+        let (before_last, command) = (speed.clone().plus(&wanted.scaled(until_last)).range(), wanted.range());
+        let moving = || self.with_ego_in_mode(self.mode, advance_ego(&self.ego, wanted, time, step));
         let stopped = || {
+            let braking = (-command).max(Interval::ZERO);
             let speed_mps = speed.range().max(Interval::ZERO).min(braking * until_last);
             let mut travelled = distance.clone();
-            travelled.shift((speed_mps * until_last * half).hull(Interval::ZERO));
-            self.with_state(MotionMode::Standing, travelled, AffineForm::default(), AffineForm::default())
+            travelled.shift((speed_mps * until_last * Interval::point(0.5)).hull(Interval::ZERO));
+            let ego = VehicleState { distance: travelled, ..VehicleState::default() };
+            self.with_ego_in_mode(MotionMode::Standing, ego)
         };
         let may_move = before_last.high() > 0.0 || command.high() > 0.0;
         let may_stand = before_last.low() <= 0.0 && command.low() <= 0.0;
@@ -127,7 +117,6 @@ impl EgoSet {
     pub(super) fn join(&self, other: &Self) -> Self {
         let symbols = self.next_symbol.max(other.next_symbol);
         let follower = self.follower.as_ref().zip(other.follower.as_ref()).map(|(a, b)| a.join(b));
-        let VehicleState { distance, speed, acceleration } = self.ego.join(&other.ego);
         Self {
             mode: self.mode,
             ego: self.ego.clone(),
@@ -135,12 +124,11 @@ impl EgoSet {
             first_own_symbol: self.first_own_symbol,
             next_symbol: symbols,
         }
-        .with_state(self.mode, distance, speed, acceleration)
+        .with_ego_in_mode(self.mode, self.ego.join(&other.ego))
     }
 
-    fn with_state(&self, mode: MotionMode, distance: AffineForm, speed: AffineForm, acceleration: AffineForm) -> Self {
-        let (ego, follower) = (VehicleState { distance, speed, acceleration }, self.follower.clone());
-        let next = Self { mode, ego, follower, ..*self }.with_rests_as_symbols();
+    fn with_ego_in_mode(&self, mode: MotionMode, ego: VehicleState) -> Self {
+        let next = Self { mode, ego, follower: self.follower.clone(), ..*self }.with_rests_as_symbols();
         if next.next_symbol > self.first_own_symbol + MAX_SYMBOLS {
             next.reduce_order().with_rests_as_symbols()
         } else {
@@ -198,6 +186,28 @@ impl EgoSet {
     }
 }
 
+/// Advances all egos by `time`, in which none stops before the last step; those that stop get a speed of 0.
+pub(super) fn advance_ego(
+    VehicleState { distance, speed, .. }: &VehicleState,
+    wanted: &AffineForm,
+    time: Interval,
+    step: Interval,
+) -> VehicleState {
+    let half = Interval::point(0.5);
+    if speed.is_zero() {
+        let acceleration = relu(wanted);
+        let distance = distance.clone().plus(&acceleration.scaled(time.sqr() * half));
+        return VehicleState { distance, speed: acceleration.scaled(time), acceleration };
+    }
+    // The unclipped update of a vehicle that stops in the last step ends at >= -b h.
+    let end = speed.clone().plus(&wanted.scaled(time));
+    let most_reversing = (-wanted.range()).max(Interval::ZERO) * step;
+    let reversing = (-end.range()).max(Interval::ZERO).min(most_reversing).hull(Interval::ZERO);
+    let mut distance = distance.clone().plus(&speed.scaled(time)).plus(&wanted.scaled(time.sqr() * half));
+    distance.shift((reversing * step * half).hull(Interval::ZERO));
+    VehicleState { distance, speed: relu_above(&end, -most_reversing.high()), acceleration: wanted.clone() }
+}
+
 /// Advances a vehicle that holds an acceleration until it stands; the acceleration of the result is unspecified.
 pub(super) fn advance_vehicle(
     VehicleState { distance, speed, .. }: &VehicleState,
@@ -206,7 +216,7 @@ pub(super) fn advance_vehicle(
 ) -> VehicleState {
     let half = Interval::point(0.5);
     if speed.is_zero() && wanted.range().high() <= 0.0 {
-        return VehicleState { distance: distance.clone(), speed: speed.clone(), acceleration: AffineForm::default() };
+        return VehicleState { distance: distance.clone(), speed: speed.clone(), ..VehicleState::default() };
     }
     let mut free = speed.clone();
     free.add_scaled(wanted, time);

@@ -24,6 +24,10 @@ pub(super) fn assert_bounds(found: Interval, [low, high]: [f64; 2], slack: f64) 
     assert!(is_near && holds, "{found:?} for {low} to {high}");
 }
 
+pub(super) fn is_near(found: f64, expected: f64, relative: f64) -> bool {
+    (found - expected).abs() <= relative * expected.abs()
+}
+
 pub(super) fn affine_input(of: [f64; OBSERVATION_SIZE], constant: f64) -> ControllerInput {
     ControllerInput { coefficients: of, constant, absent_value: None, offset: 0.0, scale: 1.0, low: -1e9, high: 1e9 }
 }

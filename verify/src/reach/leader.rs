@@ -125,11 +125,7 @@ impl BoundedLeader {
         let place = ((k / self.block_steps) as usize).min(self.block_starts.len() - 1);
         let [distance, speed] = &self.block_starts[place];
         if self.is_standing() || k == 0 {
-            return VehicleState {
-                distance: AffineForm::default(),
-                speed: speed.clone(),
-                acceleration: AffineForm::default(),
-            };
+            return VehicleState { speed: speed.clone(), ..VehicleState::default() };
         }
         let since_steps = k.saturating_sub(self.block_steps.saturating_mul(place as u32));
         let [mut distance, mut speed] = if since_steps == 0 {

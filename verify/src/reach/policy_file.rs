@@ -94,16 +94,13 @@ impl Default for PolicyFileIdm {
 impl PolicyFileAction {
     fn residual_policy(&self) -> Option<ResidualPolicy> {
         let PolicyFileResidual { dead_zone, rate_per_s, ref idm } = *self.residual_over.as_ref()?;
-        let PolicyFileIdm { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2 } =
-            *idm;
-        let max_accel_mps2 = self.high_mps2;
         let idm = IdmLaw {
-            desired_speed_mps,
-            time_headway_s,
-            standstill_gap_m,
-            accel_mps2,
-            comfortable_brake_mps2,
-            max_accel_mps2,
+            desired_speed_mps: idm.desired_speed_mps,
+            time_headway_s: idm.time_headway_s,
+            standstill_gap_m: idm.standstill_gap_m,
+            accel_mps2: idm.accel_mps2,
+            comfortable_brake_mps2: idm.comfortable_brake_mps2,
+            max_accel_mps2: self.high_mps2,
         };
         Some(ResidualPolicy { dead_zone, rate_per_s, idm })
     }
@@ -157,19 +154,16 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
         Ok(LinearLayer { inputs, outputs, weights, biases })
     });
     let layers = layers.collect::<Result<Vec<_>, String>>()?;
-    let Scaling { offset, scale, limit, empty_gap_m, history: _, history_every: _ } = header.observation;
-    let action_mps2 = [header.action.low_mps2, header.action.high_mps2];
-    let residual_over = header.action.residual_policy();
-    let decision_interval_s = header.decision_interval_s;
+    let Scaling { offset, scale, limit, empty_gap_m, .. } = header.observation;
     Ok(NativePolicy {
         layers,
         offset,
         scale,
         limit,
         empty_gap_m,
-        action_bounds_mps2: action_mps2,
-        residual_over,
-        decision_interval_s,
+        action_bounds_mps2: [header.action.low_mps2, header.action.high_mps2],
+        residual_over: header.action.residual_policy(),
+        decision_interval_s: header.decision_interval_s,
     }
     .into())
 }

@@ -129,6 +129,29 @@ struct ReachAnalysis<'a> {
     tube: Option<ReachTube>,
 }
 
+impl<'a> ReachAnalysis<'a> {
+    fn new(scene: &'a ReachProblem<'a>, budget: &'a OpBudget, tube: Option<ReachTube>) -> Self {
+        let step = Interval::point(scene.step_s);
+        let symbol = |dimension| initial_symbol(scene, dimension);
+        let leader =
+            [BoxDimension::LeaderSpeedMps, BoxDimension::LeaderBrakeMps2, BoxDimension::OnsetSteps].map(symbol);
+        Self {
+            scene,
+            budget,
+            step,
+            leader: LeaderModel::new(scene, leader, step),
+            gaps: [BoxDimension::GapAheadM, BoxDimension::GapBehindM].map(symbol),
+            result: ReachResult::INITIAL,
+            window_count: 0,
+            tube,
+        }
+    }
+}
+
+fn initial_symbol(scene: &ReachProblem<'_>, dimension: BoxDimension) -> AffineForm {
+    AffineForm::symbol(dimension as usize, scene.ranges.get(dimension))
+}
+
 /// Bounds of the eight observed numbers for each decision.
 pub type ReachTube = Vec<[Interval; OBSERVATION_SIZE]>;
 
@@ -149,21 +172,10 @@ pub fn reach_with_tube(scene: &ReachProblem<'_>) -> (ReachResult, Option<ReachTu
 }
 
 fn analyze(scene: &ReachProblem<'_>, work: &OpBudget, tube: Option<ReachTube>) -> (ReachResult, Option<ReachTube>) {
-    let step = Interval::point(scene.step_s);
-    let symbol = |dimension: BoxDimension| AffineForm::symbol(dimension as usize, scene.ranges.get(dimension));
-    let leader = [BoxDimension::LeaderSpeedMps, BoxDimension::LeaderBrakeMps2, BoxDimension::OnsetSteps].map(symbol);
-    let mut analysis = ReachAnalysis {
-        scene,
-        budget: work,
-        step,
-        leader: LeaderModel::new(scene, leader, step),
-        gaps: [BoxDimension::GapAheadM, BoxDimension::GapBehindM].map(symbol),
-        result: ReachResult::INITIAL,
-        window_count: 0,
-        tube,
-    };
+    let symbol = |dimension| initial_symbol(scene, dimension);
+    let mut analysis = ReachAnalysis::new(scene, work, tube);
     let shared = SHARED_SYMBOLS + analysis.leader.symbol_count();
-    let at_rest = |speed| VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
+    let at_rest = |speed| VehicleState { speed, ..VehicleState::default() };
     let driven = scene.follower_law().map(|_| at_rest(symbol(BoxDimension::FollowerSpeedMps)));
     let members = EgoSet::from_speed(symbol(BoxDimension::EgoSpeedMps), shared).with_follower(driven);
     let mut starts = ByMode::default();

@@ -174,31 +174,17 @@ impl NeuralController {
 
 #[cfg(test)]
 mod tests {
+    use super::super::fixtures::{affine_input, constant_controller};
     use super::*;
     use crate::reach::{Activation, ControllerInput, LinearLayer, OBSERVATION_SIZE};
 
     fn two_input_controller(steps: Vec<NetworkLayer>, answer: usize) -> NeuralController {
-        let input = |low, high| ControllerInput {
-            coefficients: [0.0; OBSERVATION_SIZE],
-            constant: 0.0,
-            absent_value: None,
-            offset: 0.0,
-            scale: 1.0,
-            low,
-            high,
-        };
+        let input = |low, high| ControllerInput { low, high, ..affine_input([0.0; OBSERVATION_SIZE], 0.0) };
         NeuralController {
             inputs: vec![input(-1.0, 2.0), input(-3.0, 1.0)],
             layers: steps,
             output_index: answer,
-            scale_mps2: 1.0,
-            offset_mps2: 0.0,
-            action_bounds_mps2: [-1.0, 1.0],
-            is_clipped: true,
-            residual_over: None,
-            empty_gap_m: 80.0,
-            decision_interval_s: 0.1,
-            source: None,
+            ..constant_controller(0.0)
         }
     }
 

@@ -13,10 +13,10 @@ use crumple_verify::{
     Certificate, CertificateProvenance, CruiseClaim, ProvedClaim, Rejection, Statement, WorkLimit, check_with,
 };
 use serde_json::{Value, json};
-use sha2::{Digest, Sha256};
 
 use crate::support::closed_loop::{XorShiftRng, network_outputs};
 use crate::support::networks::{any_layers, encode_file};
+use crate::support::sha256;
 
 const DRAG: f64 = 1e-4;
 
@@ -204,7 +204,7 @@ fn braking_network_file() -> Vec<u8> {
 }
 
 fn certificate_for(file: &[u8], change: impl FnOnce(&mut CruiseClaim)) -> Certificate {
-    let digest: String = Sha256::digest(file).iter().map(|byte| format!("{byte:02x}")).collect();
+    let digest = sha256(file);
     let found = compute_bounds(&NeuralController::from_bytes(file).unwrap(), 3).unwrap();
     let mut claim = CruiseClaim {
         policy_file: format!("network-{}.safetensors", &digest[..12]),

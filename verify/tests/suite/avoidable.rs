@@ -1,7 +1,7 @@
 //! Every member of an accepted avoidable claim avoids the collision.
 
 use crate::support;
-use crate::support::{SUBSTEPS, pick_member, scenes, simulate_scene};
+use crate::support::{SUBSTEPS, expand_to_substeps, follower_at, one_ego_scene, pick_member, scenes, simulate_scene};
 use crumple_verify::*;
 use proptest::prelude::*;
 
@@ -55,13 +55,12 @@ fn calm_scene() -> (Scene, Vec<Vec<ConstantPiece<f64>>>) {
 #[test]
 fn a_calm_stop_is_accepted_and_each_fault_is_named() {
     let (scene, witness) = calm_scene();
-    let Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, after_horizon: afterwards, .. }) =
-        check(&certificate(&scene, witness.clone()))
+    let Ok(ProvedClaim::Avoidable { min_gap_m, after_horizon, .. }) = check(&certificate(&scene, witness.clone()))
     else {
         panic!("{:?}", check(&certificate(&scene, witness)));
     };
-    assert!(smallest_gap_m > 0.1, "{smallest_gap_m}");
-    assert_eq!(afterwards, SafetyAfterHorizon::ForAnyLeader, "everybody stands");
+    assert!(min_gap_m > 0.1, "{min_gap_m}");
+    assert_eq!(after_horizon, SafetyAfterHorizon::ForAnyLeader, "everybody stands");
     let faulty = |change: &dyn Fn(&mut AvoidableClaim)| {
         let mut certificate = certificate(&scene, witness.clone());
         if let Statement::Avoidable(claim) = &mut certificate.statement {
@@ -69,8 +68,8 @@ fn a_calm_stop_is_accepted_and_each_fault_is_named() {
         }
         check(&certificate).unwrap_err()
     };
-    let stated = faulty(&|claim| claim.min_gap_m_at_least = Some(smallest_gap_m.next_up()));
-    assert_eq!(stated, Rejection::GapTooSmall { stated_m: smallest_gap_m.next_up(), min_gap_m: smallest_gap_m });
+    let stated = faulty(&|claim| claim.min_gap_m_at_least = Some(min_gap_m.next_up()));
+    assert_eq!(stated, Rejection::GapTooSmall { stated_m: min_gap_m.next_up(), min_gap_m });
     for stated_m in [f64::NAN, f64::INFINITY] {
         assert!(matches!(faulty(&|claim| claim.min_gap_m_at_least = Some(stated_m)), Rejection::GapTooSmall { .. }));
     }
@@ -91,32 +90,13 @@ fn a_calm_stop_is_accepted_and_each_fault_is_named() {
 /// Without a follower the smallest gap is a closed form: here the parabola's vertex, inside a step.
 #[test]
 fn a_near_miss_inside_a_step_is_seen() {
-    let scene = |gap: f64| Scene {
-        step_s: 1.0,
-        steps: 1,
-        leader: SceneLeader {
-            position_m: Interval::point(gap + 2.0),
-            length_m: 2.0,
-            speed_mps: Interval::point(10.0),
-            acceleration_mps2: vec![ConstantPiece(1, Interval::ZERO)],
-        },
-        egos: vec![SceneEgo {
-            position_m: Interval::ZERO,
-            length_m: 2.0,
-            speed_mps: Interval::point(12.0),
-            max_brake_mps2: 4.0,
-            max_accel_mps2: 0.0,
-        }],
-        follower: None,
-    };
+    let scene = |gap_m: f64| one_ego_scene((1.0, 1), gap_m, [10.0, 12.0], [4.0, 0.0]);
     // The gap is gap - 2 t + 2 t², at least gap - 0.5.
     let witness = vec![vec![ConstantPiece(1, -4.0)]];
-    let Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, .. }) =
-        check(&certificate(&scene(0.51), witness.clone()))
-    else {
+    let Ok(ProvedClaim::Avoidable { min_gap_m, .. }) = check(&certificate(&scene(0.51), witness.clone())) else {
         panic!("not accepted");
     };
-    assert!((smallest_gap_m - 0.01).abs() < 1e-12);
+    assert!((min_gap_m - 0.01).abs() < 1e-12);
     assert!(check(&certificate(&scene(0.5), witness)).is_err());
 }
 
@@ -124,26 +104,9 @@ fn a_near_miss_inside_a_step_is_seen() {
 #[test]
 fn motion_afterwards_is_the_closed_form() {
     let afterwards = |gap_m: f64, leader_mps: f64, ego_mps: f64| {
-        let scene = Scene {
-            step_s: 0.5,
-            steps: 2,
-            leader: SceneLeader {
-                position_m: Interval::point(gap_m + 2.0),
-                length_m: 2.0,
-                speed_mps: Interval::point(leader_mps),
-                acceleration_mps2: vec![ConstantPiece(2, Interval::ZERO)],
-            },
-            egos: vec![SceneEgo {
-                position_m: Interval::ZERO,
-                length_m: 2.0,
-                speed_mps: Interval::point(ego_mps),
-                max_brake_mps2: 5.0,
-                max_accel_mps2: 0.0,
-            }],
-            follower: None,
-        };
+        let scene = one_ego_scene((0.5, 2), gap_m, [leader_mps, ego_mps], [5.0, 0.0]);
         match check(&certificate(&scene, vec![vec![ConstantPiece(2, 0.0)]])) {
-            Ok(ProvedClaim::Avoidable { after_horizon: afterwards, .. }) => afterwards,
+            Ok(ProvedClaim::Avoidable { after_horizon, .. }) => after_horizon,
             other => panic!("{other:?}"),
         }
     };
@@ -167,13 +130,6 @@ fn scene_with_witness(egos: usize) -> impl Strategy<Value = (Scene, Vec<Vec<Cons
         let witness = scene.egos.iter().zip(levels).map(of).collect();
         (scene, witness)
     })
-}
-
-fn expand_to_substeps(witness: &[Vec<ConstantPiece<f64>>]) -> Vec<Vec<f64>> {
-    let of = |profile: &Vec<ConstantPiece<f64>>| {
-        profile.iter().flat_map(|held| vec![held.1; held.0 as usize * SUBSTEPS]).collect()
-    };
-    witness.iter().map(of).collect()
 }
 
 /// Returns the smallest gap of a member after the horizon. The leader stops at once or holds its speed; the others
@@ -227,14 +183,14 @@ proptest! {
             least_m = least_m.min(simulate_scene(&scene, &member, &profiles).min_gap_m);
         }
         match accepted {
-            Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, after_horizon: afterwards, .. }) => {
-                prop_assert!(smallest_gap_m <= least_m + 1e-9);
-                if afterwards != SafetyAfterHorizon::Unproved {
+            Ok(ProvedClaim::Avoidable { min_gap_m, after_horizon, .. }) => {
+                prop_assert!(min_gap_m <= least_m + 1e-9);
+                if after_horizon != SafetyAfterHorizon::Unproved {
                     let mut pick = || picks.next().unwrap().round();
-                    let kept_m = min_gap_after_horizon_m(&scene, &profiles, afterwards, &mut pick);
+                    let kept_m = min_gap_after_horizon_m(&scene, &profiles, after_horizon, &mut pick);
                     // Braking ends with a substep, not at the target speed.
                     let late_m = 9.0 * (scene.step_s / SUBSTEPS as f64).powi(2);
-                    prop_assert!(kept_m > -late_m, "{afterwards}: {kept_m}");
+                    prop_assert!(kept_m > -late_m, "{after_horizon}: {kept_m}");
                 }
             }
             Ok(other) => prop_assert!(false, "{other}"),
@@ -252,35 +208,10 @@ proptest! {
 
 /// Checks ten steps at constant speeds, in which only the follower limits the safety afterwards.
 fn check_with_follower(gap_m: f64, mps: f64, ttc_s: f64, reaction_steps: u32) -> (f64, SafetyAfterHorizon) {
-    let point = Interval::point;
-    let scene = Scene {
-        step_s: 0.25,
-        steps: 8,
-        leader: SceneLeader {
-            position_m: point(102.0),
-            length_m: 2.0,
-            speed_mps: point(10.0),
-            acceleration_mps2: vec![ConstantPiece(8, point(0.0))],
-        },
-        egos: vec![SceneEgo {
-            position_m: point(0.0),
-            length_m: 2.0,
-            speed_mps: point(10.0),
-            max_brake_mps2: 5.0,
-            max_accel_mps2: 0.0,
-        }],
-        follower: Some(SceneFollower {
-            position_m: point(-2.0 - gap_m),
-            speed_mps: point(mps),
-            brake_mps2: point(6.0),
-            ttc_s,
-            reaction_steps,
-        }),
-    };
+    let follower = SceneFollower { ttc_s, reaction_steps, ..follower_at(-2.0 - gap_m, mps) };
+    let scene = Scene { follower: Some(follower), ..one_ego_scene((0.25, 8), 100.0, [10.0; 2], [5.0, 0.0]) };
     match check(&certificate(&scene, vec![vec![ConstantPiece(8, 0.0)]])) {
-        Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, after_horizon: afterwards, .. }) => {
-            (smallest_gap_m, afterwards)
-        }
+        Ok(ProvedClaim::Avoidable { min_gap_m, after_horizon, .. }) => (min_gap_m, after_horizon),
         other => panic!("{other:?}"),
     }
 }
@@ -311,9 +242,9 @@ fn afterwards_a_follower_is_stopped_by_a_brake_that_has_taken_hold() {
 #[test]
 fn the_bow_of_a_gap_counts_the_brake_of_the_follower() {
     for (gap_m, mps) in [(5.0, 9.0), (5.0, 10.0), (1.0, 9.5)] {
-        let (smallest_gap_m, _) = check_with_follower(gap_m, mps, 0.0, 0);
+        let (min_gap_m, _) = check_with_follower(gap_m, mps, 0.0, 0);
         let expected = gap_m - 6.0 * 0.0625 / 8.0;
-        assert!(smallest_gap_m <= expected && expected - smallest_gap_m < 1e-12, "{mps}: {smallest_gap_m} {expected}");
+        assert!(min_gap_m <= expected && expected - min_gap_m < 1e-12, "{mps}: {min_gap_m} {expected}");
     }
 }
 
@@ -330,9 +261,9 @@ fn a_gap_that_is_proved_is_more_than_nothing() {
         scene.egos.truncate(1);
         (scene.egos[0].position_m, scene.egos[0].speed_mps) = (Interval::ZERO, Interval::ZERO);
         match check(&certificate(&scene, vec![vec![ConstantPiece(1, 0.0)]])) {
-            Ok(ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, .. }) => {
+            Ok(ProvedClaim::Avoidable { min_gap_m, .. }) => {
                 clear += 1;
-                assert!(smallest_gap_m > 0.0 && smallest_gap_m <= f64::from_bits(ulps), "{ulps}: {smallest_gap_m}");
+                assert!(min_gap_m > 0.0 && min_gap_m <= f64::from_bits(ulps), "{ulps}: {min_gap_m}");
             }
             Err(Rejection::MayCollide { front_vehicle: 0, step: 0, gap_m }) => {
                 touching += 1;

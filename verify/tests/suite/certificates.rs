@@ -4,7 +4,9 @@ use std::process::Command;
 
 use crate::support;
 use crate::support::mutants::mutants;
-use crate::support::{SUBSTEPS, certificate, has_escape, pick_member, proofs, simulate_scene};
+use crate::support::{
+    certificate, expand_to_substeps, follower_at, has_escape, one_ego_scene, pick_member, proofs, simulate_scene,
+};
 use crumple_verify::*;
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
@@ -59,10 +61,7 @@ fn is_confirmed_by_simulation(certificate: &Certificate) -> bool {
     let corners = [0.0, 0.5, 1.0];
     match &certificate.statement {
         Statement::Avoidable(claim) => corners.iter().all(|&corner| {
-            let expand = |profile: &Vec<ConstantPiece<f64>>| {
-                profile.iter().flat_map(|held| vec![held.1; held.0 as usize * SUBSTEPS]).collect()
-            };
-            let profiles: Vec<Vec<f64>> = claim.witness.iter().map(expand).collect();
+            let profiles = expand_to_substeps(&claim.witness);
             let min_gap_m = simulate_scene(&claim.scene, &pick_member(&claim.scene, || corner), &profiles).min_gap_m;
             min_gap_m > 0.0 && min_gap_m >= claim.min_gap_m_at_least.unwrap_or(0.0) - 1e-9
         }),
@@ -173,6 +172,11 @@ fn exit_codes() {
     std::fs::remove_dir_all(folder).unwrap();
 }
 
+fn shared_file(is_unavoidable: bool) -> Value {
+    thread_local!(static FILES: [Value; 2] = [avoidable_file(), unavoidable_file()]);
+    FILES.with(|files| files[usize::from(is_unavoidable)].clone())
+}
+
 fn any_json() -> impl Strategy<Value = Value> {
     let number = prop_oneof![
         any::<f64>().prop_map(|x| json!(x)),
@@ -197,8 +201,7 @@ proptest! {
     fn no_file_brings_the_check_down(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any_json()), 1..4), which in any::<bool>(),
     ) {
-        thread_local!(static FILES: [Value; 2] = [avoidable_file(), unavoidable_file()]);
-        let mut file = FILES.with(|files| files[usize::from(which)].clone());
+        let mut file = shared_file(which);
         for (place, value) in changes {
             let places = support::mutants::json_pointers(&file);
             let place = place.get(&places).clone();
@@ -213,8 +216,7 @@ proptest! {
     fn huge_and_tiny_numbers_prove_nothing_false(
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<f64>()), 1..4), which in any::<bool>(),
     ) {
-        thread_local!(static FILES: [Value; 2] = [avoidable_file(), unavoidable_file()]);
-        let mut file = FILES.with(|files| files[usize::from(which)].clone());
+        let mut file = shared_file(which);
         let places: Vec<String> =
             support::mutants::json_pointers(&file).into_iter().filter(|p| file.pointer(p).unwrap().is_f64()).collect();
         for (place, value) in changes {
@@ -244,31 +246,10 @@ proptest! {
 /// 1500 steps in 30 branches with every multiplier in use; the time is for optimised builds.
 #[test]
 fn a_long_certificate_is_quick_to_check() {
-    let follower = SceneFollower {
-        position_m: Interval::point(-10.0),
-        speed_mps: Interval::point(20.0),
-        brake_mps2: Interval::point(6.0),
-        ttc_s: 1.4,
-        reaction_steps: 0,
-    };
-    let scene = Scene {
-        step_s: 0.01,
-        steps: 1500,
-        leader: SceneLeader {
-            position_m: Interval::point(3.0),
-            length_m: 2.0,
-            speed_mps: Interval::point(10.0),
-            acceleration_mps2: vec![ConstantPiece(1500, Interval::point(-7.0))],
-        },
-        egos: vec![SceneEgo {
-            position_m: Interval::ZERO,
-            length_m: 2.0,
-            speed_mps: Interval::point(40.0),
-            max_brake_mps2: 7.5,
-            max_accel_mps2: 3.0,
-        }],
-        follower: Some(follower),
-    };
+    let follower = SceneFollower { ttc_s: 1.4, ..follower_at(-10.0, 20.0) };
+    let mut scene = one_ego_scene((0.01, 1500), 1.0, [10.0, 40.0], [7.5, 3.0]);
+    scene.follower = Some(follower);
+    scene.leader.acceleration_mps2[0].1 = Interval::point(-7.0);
     let rows = |end: u32| -> MultiplierRows { (0..end).map(|k| (k, 1e-6)).collect() };
     let branch = |i: u32| Branch {
         first: 50 * i,
@@ -309,7 +290,7 @@ fn assumptions_are_printed_in_words() {
         (ExactMotion, "accelerations are held over each step, and a vehicle that has stopped does not reverse"),
         (ScriptedLeader, "the leader moves as scripted and reacts to no vehicle"),
         (LatchedFollower, "the follower holds its speed until its latched emergency brake fires"),
-        (FollowerByLaw, "the follower does at once, at each step, what the stated law asks for"),
+        (FollowerByLaw, "the follower applies the stated controller's command at each step, without delay"),
         (EgoWithinLimits, "no vehicle under test brakes or accelerates harder than stated"),
         (EgoOnProfile, "the vehicles under test follow the stated profile at once"),
         (LeaderWithinLimit, "the vehicle ahead never brakes harder than stated"),
@@ -319,7 +300,7 @@ fn assumptions_are_printed_in_words() {
         (TanhWithin, "tanh in single precision is within 2^-22 of the true one"),
         (ExpWithin, "exp and exp - 1 in single precision are within 2^-22 of themselves of the true ones"),
         (NetworkAsRead, "the network is the one of its source file, as crumple read it, with the mapping stated"),
-        (RegisteredDraws, "runs are independent draws, and were registered before the first of them"),
+        (RegisteredDraws, "runs are independent samples, registered before the first run"),
         (NoiseOfSeed, "noise is that of the scenario's seed"),
     ] {
         assert_eq!(assumption.to_string(), said);
@@ -329,12 +310,11 @@ fn assumptions_are_printed_in_words() {
 #[test]
 fn results_are_printed_in_words() {
     let reach = |verified_share, has_follower, leader_brakes_at_most_mps2| {
-        let (falsified_share, smallest_gap_m, horizon_s) = (0.001_99, 0.5, 4.0);
         ProvedClaim::Reach {
             verified_share,
-            falsified_share,
-            min_gap_m: smallest_gap_m,
-            horizon_s,
+            falsified_share: 0.001_99,
+            min_gap_m: 0.5,
+            horizon_s: 4.0,
             has_follower,
             leader_brakes_at_most_mps2,
             residual_over: None,
@@ -376,6 +356,18 @@ fn results_are_printed_in_words() {
     }
     let gap_bound = ProvedClaim::GapBound { gap_m: 1.5, horizon_s: 3.0 }.to_string();
     assert_eq!(gap_bound, "gap bound: for every command, some gap is at most 1.5 m within 3 s");
+    let rate = ProvedClaim::Rate { max_rate: 0.002_305_979_158_525_014_4, confidence: 0.999 }.to_string();
+    assert_eq!(rate, "rate: at most 0.002306 at confidence 0.999, if its counts are right");
+    for (margin_m, x_ego_width_m, shown) in [
+        (23.727_965_585_949_395, 7.116_160_040_620_884, ["23.72", "7.117"]),
+        (-0.123_41, 9.999_91, ["-0.1235", "10"]),
+        (0.001, 1234.0, ["0.001", "1234"]),
+    ] {
+        let cruise = ProvedClaim::Cruise { margin_m, x_ego_width_m }.to_string();
+        let [margin, width] = shown;
+        assert!(cruise.contains(&format!(" smaller than {margin} m ")), "{cruise}");
+        assert!(cruise.ends_with(&format!(" within {width} m")), "{cruise}");
+    }
     let cruise = ProvedClaim::Cruise { margin_m: 0.75, x_ego_width_m: 3.5 }.to_string();
     assert_eq!(
         cruise,

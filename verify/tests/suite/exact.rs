@@ -6,11 +6,12 @@ use proptest::prelude::*;
 
 use crate::law_follower::any_law;
 use crate::leader::unscripted;
-use crate::reach::{LATCHED, any_ranges, any_unit, box_member, paper_box, paper_problem, reference_policy_bytes};
+use crate::reach::{LATCHED, any_ranges, any_unit, box_member, paper_box, paper_problem};
 use crate::residual::any_residual_policy;
 use crate::support::closed_loop::{ReachPoint, XorShiftRng, simulate};
 use crate::support::exact::{FixedPointInterval, TooClose, simulate_exactly};
 use crate::support::networks::{any_network, residual_network};
+use crate::support::policy_bytes;
 
 /// Generates observation errors: each the largest, to one side or the other, or none.
 fn random_errors(scene: &ReachProblem<'_>, seed: u64) -> impl Fn(usize) -> [f64; 8] {
@@ -112,7 +113,7 @@ proptest! {
 #[test]
 fn committed_claims_are_true_of_their_members() {
     let mut numbers = XorShiftRng(77);
-    let controller = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+    let controller = NeuralController::from_bytes(&policy_bytes("reference")).unwrap();
     for name in ["reach-paper-1", "reach-paper-2"] {
         let path = format!("{}/../corpora/certificates/{name}.json", env!("CARGO_MANIFEST_DIR"));
         let certificate = Certificate::from_json(&std::fs::read_to_string(path).unwrap()).unwrap();
@@ -132,7 +133,7 @@ fn committed_claims_are_true_of_their_members() {
 
 #[test]
 fn two_derivations_agree() {
-    let controller = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+    let controller = NeuralController::from_bytes(&policy_bytes("reference")).unwrap();
     let scene = ReachProblem { observation_error: [0.0; 8], ..paper_problem(&controller, paper_box(0.5, 0.1)) };
     for place in [0.0, 0.3, 1.0] {
         let start = box_member(&scene.ranges, [place; 8]);

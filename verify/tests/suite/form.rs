@@ -3,14 +3,12 @@
 use crumple_verify::Interval;
 use crumple_verify::reach::form::AffineForm;
 use num_rational::BigRational;
-use num_traits::{FromPrimitive, One, Signed};
+use num_traits::{One, Signed};
 use proptest::prelude::*;
 
-const SYMBOLS: usize = 3;
+use crate::support::{contains, rational};
 
-fn rational(value: f64) -> BigRational {
-    BigRational::from_f64(value).unwrap()
-}
+const SYMBOLS: usize = 3;
 
 /// Generates numbers of magnitudes at which sums and products round, and often zero or one.
 fn number() -> impl Strategy<Value = f64> {
@@ -60,10 +58,6 @@ fn holds(form: &AffineForm, symbols: &[f64; SYMBOLS], value: &BigRational) -> bo
     (value - without_rest(form, symbols)).abs() <= rational(form.rest())
 }
 
-fn is_in(range: Interval, value: &BigRational) -> bool {
-    rational(range.low()) <= *value && *value <= rational(range.high())
-}
-
 proptest! {
     #![proptest_config(crumple_cases::with_cases(2000))]
 
@@ -76,7 +70,9 @@ proptest! {
     ) {
         let (of_x, of_y) = (member(&x, &symbols), member(&y, &symbols));
         let (x, y) = (x.0, y.0);
-        let holds = |form: &AffineForm, value: &BigRational| holds(form, &symbols, value) && is_in(form.range(), value);
+        let holds = |form: &AffineForm, exact: &BigRational| {
+            holds(form, &symbols, exact) && contains(form.range(), exact)
+        };
         prop_assert!(holds(&x, &of_x));
         prop_assert!(holds(&AffineForm::constant(factor), &rational(by)));
         prop_assert!(holds(&x.clone().plus(&y), &(&of_x + &of_y)));

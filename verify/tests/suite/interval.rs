@@ -2,12 +2,9 @@
 
 use crumple_verify::Interval;
 use num_rational::BigRational;
-use num_traits::FromPrimitive;
 use proptest::prelude::*;
 
-fn rational(value: f64) -> BigRational {
-    BigRational::from_f64(value).unwrap()
-}
+use crate::support::rational;
 
 fn holds(interval: Interval, value: &BigRational) -> bool {
     (interval.low() == f64::NEG_INFINITY || rational(interval.low()) <= *value)

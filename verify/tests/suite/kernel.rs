@@ -1,16 +1,13 @@
 //! A kernel is accepted exactly if its closed form is right.
 
 use crumple_verify::polynomial::Polynomial;
-use crumple_verify::{
-    Assumption, Certificate, CertificateProvenance, KernelClaim, ProvedClaim, Rejection, Statement, check,
-};
+use crumple_verify::{Assumption, Certificate, KernelClaim, ProvedClaim, Rejection, Statement, check};
 use num_rational::BigRational;
 
+use crate::support::certificate;
+
 fn check_kernel(kernel: &KernelClaim) -> Result<ProvedClaim, Rejection> {
-    let statement = Statement::Kernel(kernel.clone());
-    let absent = CertificateProvenance::default();
-    let mut certificate =
-        Certificate { version: 1, provenance: absent, assumptions: statement.assumptions(), statement };
+    let mut certificate = certificate(Statement::Kernel(kernel.clone()));
     let text = serde_json::to_string(&certificate).unwrap();
     assert_eq!(Certificate::from_json(&text).unwrap(), certificate);
     let result = check(&certificate);
@@ -23,7 +20,7 @@ fn parse_rational(text: &str) -> BigRational {
     text.parse().unwrap()
 }
 
-fn kernel(b: &str, c: &str) -> KernelClaim {
+pub fn kernel(b: &str, c: &str) -> KernelClaim {
     let (b, c, half) = (parse_rational(b), parse_rational(c), parse_rational("1/2"));
     KernelClaim {
         ego_brake_mps2: b.to_string(),

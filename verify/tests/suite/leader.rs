@@ -6,12 +6,10 @@ use crumple_verify::reach::{
 use crumple_verify::{Assumption, Certificate, Interval, ProvedClaim, Rejection, WorkLimit, check_with};
 use proptest::prelude::*;
 
-use crate::reach::{
-    LATCHED, any_ranges, any_unit, box_member, certificate, claim, is_bounded, paper_box, paper_problem,
-    reference_policy_bytes,
-};
+use crate::reach::{LATCHED, any_ranges, any_unit, box_member, claim, is_bounded, paper_box, paper_problem};
 use crate::support::closed_loop::{XorShiftRng, simulate_with_leader};
 use crate::support::networks::{any_network, native_network};
+use crate::support::{policy_bytes, reach_certificate};
 
 /// A share of the braking limit for each step. `Observed` brakes in the step before a decision, or in all others.
 #[derive(Debug, Clone)]
@@ -156,7 +154,7 @@ mod tier_2 {
     #[test]
     #[ignore = "tier 2: four searches"]
     fn verified_boxes_survive_the_worst_leader_that_is_found() {
-        let controller = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+        let controller = NeuralController::from_bytes(&policy_bytes("reference")).unwrap();
         for limit_mps2 in [0.05, 0.2, 0.35, 0.55] {
             let scene = with_bounded_leader(&controller, paper_box(0.1, 0.0), limit_mps2);
             let reached = reach(&scene);
@@ -174,7 +172,7 @@ mod tier_2 {
 #[test]
 #[ignore = "takes a minute; for the table of corpora/boxes/README.md"]
 fn worst_leader_at_each_limit() {
-    let controller = NeuralController::from_bytes(&reference_policy_bytes()).unwrap();
+    let controller = NeuralController::from_bytes(&policy_bytes("reference")).unwrap();
     for limit_mps2 in [0.1, 0.2, 0.3, 0.4, 0.46, 0.5, 1.0, 2.0, 3.0, 3.5, 4.0] {
         let scene = with_bounded_leader(&controller, paper_box(0.7, 0.0), limit_mps2);
         println!("{limit_mps2} m/s²: {:.3} m", min_gap_under_attack(&scene, 1000, 7));
@@ -194,7 +192,7 @@ fn bounded_leader_claim() -> ReachClaim {
 }
 
 fn check_claim(claim: ReachClaim) -> Result<ProvedClaim, Rejection> {
-    check_with(&certificate(claim), Some(&reference_policy_bytes()), WorkLimit::default())
+    check_with(&reach_certificate(claim), Some(&policy_bytes("reference")), WorkLimit::default())
 }
 
 #[test]
@@ -208,13 +206,13 @@ fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() 
     }
     let message = check_claim(genuine.clone()).unwrap().to_string();
     assert!(message.contains("however the leader brakes at up to 0.05 m/s²"), "{message}");
-    let scope = certificate(genuine.clone()).scope().to_string();
+    let scope = reach_certificate(genuine.clone()).scope().to_string();
     assert!(
         scope.contains("never speeds up, and brakes as it likes: over each step at another rate from 0 to 0.05 m/s²"),
         "{scope}"
     );
-    let text = serde_json::to_string(&certificate(genuine.clone())).unwrap();
-    assert_eq!(Certificate::from_json(&text).unwrap(), certificate(genuine.clone()));
+    let text = serde_json::to_string(&reach_certificate(genuine.clone())).unwrap();
+    assert_eq!(Certificate::from_json(&text).unwrap(), reach_certificate(genuine.clone()));
 
     for limit_mps2 in [4.0, 30.0, 1e9, 1e300] {
         let forged = ReachClaim { leader_brakes_at_most_mps2: Some(limit_mps2), ..genuine.clone() };
@@ -238,12 +236,12 @@ fn a_claim_about_any_braking_is_derived_again_and_forgeries_of_it_are_refused() 
     // The assumption missing, doubled, or exchanged with that of a script.
     let with = |claim: &ReachClaim, assumptions: Vec<Assumption>| {
         check_with(
-            &Certificate { assumptions, ..certificate(claim.clone()) },
-            Some(&reference_policy_bytes()),
+            &Certificate { assumptions, ..reach_certificate(claim.clone()) },
+            Some(&policy_bytes("reference")),
             WorkLimit::default(),
         )
     };
-    let needed = certificate(genuine.clone()).assumptions;
+    let needed = reach_certificate(genuine.clone()).assumptions;
     assert!(needed.contains(&Assumption::LeaderWithinLimit) && !needed.contains(&Assumption::ScriptedLeader));
     let place = needed.iter().position(|one| *one == Assumption::LeaderWithinLimit).unwrap();
     let mut without = needed.clone();

@@ -1,24 +1,16 @@
 //! Boxes of motion hold every member tightly.
 
-use crate::support::{advance, pick_member, profiles, scenes, simulate_scene};
+use crate::support::{advance, contains, pick_member, profiles, rational, scenes, simulate_scene};
 use crumple_verify::{Interval, motion};
 use num_rational::BigRational;
-use num_traits::{FromPrimitive, Signed, Zero};
+use num_traits::{Signed, Zero};
 use proptest::prelude::*;
-
-fn rational(value: f64) -> BigRational {
-    BigRational::from_f64(value).unwrap()
-}
 
 fn rational_distance_and_speed(v: f64, a: f64, t: f64) -> (BigRational, BigRational) {
     let (v, a, t) = (rational(v), rational(a), rational(t));
     let end = &v + &a * &t;
     let two = rational(2.0);
     if end.is_negative() { (-(&v * &v) / (two * a), BigRational::zero()) } else { (&v * &t + a * &t * &t / two, end) }
-}
-
-fn holds(interval: Interval, value: &BigRational) -> bool {
-    rational(interval.low()) <= *value && rational(interval.high()) >= *value
 }
 
 proptest! {
@@ -33,7 +25,7 @@ proptest! {
         let (covered, after) = motion::distance_and_speed_after(speed, acceleration, Interval::point(t));
         let (v_in, a_in) = (speed.high().min(v + at.0 * dv), acceleration.high().min(a + at.1 * da));
         let (distance, end) = rational_distance_and_speed(v_in, a_in, t);
-        prop_assert!(holds(covered, &distance) && holds(after, &end));
+        prop_assert!(contains(covered, &distance) && contains(after, &end));
         let [low, high] = [(v, a), (v + dv, a + da)].map(|(v, a)| advance([0.0, v], a, t));
         prop_assert!((covered.low() - low[0]).abs() < 1e-10 && (covered.high() - high[0]).abs() < 1e-10);
         prop_assert!((after.low() - low[1]).abs() < 1e-10 && (after.high() - high[1]).abs() < 1e-10);
@@ -47,7 +39,7 @@ proptest! {
         let point = Interval::point;
         let (covered, after) = motion::distance_and_speed_after(point(v), point(-b), point(t));
         let (distance, end) = rational_distance_and_speed(v, -b, t);
-        prop_assert!(holds(covered, &distance) && holds(after, &end));
+        prop_assert!(contains(covered, &distance) && contains(after, &end));
         prop_assert!(covered.high() - covered.low() < 1e-10);
     }
 

@@ -1,17 +1,14 @@
 //! Files of imported networks: reading, rejection, and claims about them.
 
 use crumple_verify::reach::{
-    InitialRanges, NetworkFileFormat, NetworkFileSource, NeuralController, PartitionCell, ReachClaim,
-    controller_file_name,
+    NetworkFileFormat, NetworkFileSource, NeuralController, PartitionCell, ReachClaim, controller_file_name,
 };
-use crumple_verify::{
-    Assumption, Certificate, CertificateProvenance, Interval, ProvedClaim, Rejection, Statement, WorkLimit, check_with,
-};
-use sha2::{Digest, Sha256};
-
+use crumple_verify::{Assumption, ProvedClaim, Rejection, WorkLimit, check_with};
 use serde_json::{Value, json};
 
+use crate::reach::point_box;
 use crate::support::networks::{any_network_with_file, encode_file};
+use crate::support::{reach_certificate, sha256};
 
 #[test]
 fn written_files_are_read() {
@@ -64,54 +61,27 @@ fn meaningless_values_are_refused() {
     assert!(NeuralController::from_bytes(&fewer).is_err());
 }
 
-fn digest(bytes: &[u8]) -> String {
-    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
-}
-
 /// Returns a claim without interaction: the leader is far away and does not brake.
 fn claim(file: &[u8]) -> ReachClaim {
-    let at = Interval::point;
     ReachClaim {
-        policy_file: controller_file_name(&digest(file), true),
-        policy_sha256: digest(file),
+        policy_file: controller_file_name(&sha256(file), true),
+        policy_sha256: sha256(file),
         source: Some(NetworkFileSource { format: NetworkFileFormat::Onnx, sha256: "0".repeat(64) }),
-        step_s: 0.01,
         steps: 100,
         follower_ttc_s: None,
-        follower_law: None,
-        leader_brakes_at_most_mps2: None,
-        observation_error: [1e-9; 8],
-        ranges: InitialRanges {
-            gap_ahead_m: at(100.0),
-            gap_behind_m: at(0.0),
-            leader_speed_mps: at(20.0),
-            ego_speed_mps: at(20.0),
-            follower_speed_mps: at(0.0),
-            leader_brake_mps2: at(0.0),
-            follower_brake_mps2: at(0.0),
-            onset_steps: at(0.0),
-        },
+        ranges: point_box([100.0, 0.0, 20.0, 20.0, 0.0, 0.0, 0.0, 0.0]),
         partition: vec![PartitionCell::Verified],
         verified_share_at_least: 1.0,
         falsified_share_at_least: 0.0,
         min_gap_m_at_least: 50.0,
-    }
-}
-
-fn certificate(claim: ReachClaim) -> Certificate {
-    let statement = Statement::Reach(claim);
-    Certificate {
-        version: 1,
-        provenance: CertificateProvenance::default(),
-        assumptions: statement.assumptions(),
-        statement,
+        ..crate::reach::claim()
     }
 }
 
 #[test]
 fn a_statement_about_a_network_names_its_source_and_assumptions() {
     let (_, file) = any_network_with_file(3);
-    let genuine = certificate(claim(&file));
+    let genuine = reach_certificate(claim(&file));
     let accepted = check_with(&genuine, Some(&file), WorkLimit::default());
     assert!(matches!(accepted, Ok(ProvedClaim::Reach { .. })), "{accepted:?}");
     assert!(genuine.assumptions.contains(&Assumption::NetworkAsRead));
@@ -123,7 +93,7 @@ fn a_statement_about_a_network_names_its_source_and_assumptions() {
         [None, Some(NetworkFileSource { format: NetworkFileFormat::StableBaselines, sha256: "0".repeat(64) })].to_vec();
     sources.push(Some(NetworkFileSource { format: NetworkFileFormat::Onnx, sha256: "1".repeat(64) }));
     for source in sources {
-        let other = certificate(ReachClaim { source, ..claim(&file) });
+        let other = reach_certificate(ReachClaim { source, ..claim(&file) });
         let refused = check_with(&other, Some(&file), WorkLimit::default());
         assert!(matches!(refused, Err(Rejection::Policy { .. })), "{refused:?}");
     }

@@ -3,14 +3,12 @@
 use std::collections::BTreeMap;
 
 use crumple_verify::rate::binomial_tail_upper_bound;
-use crumple_verify::{
-    Certificate, CertificateProvenance, ComparisonClaim, ProvedClaim, RateClaim, Registration, Rejection, Statement,
-    check,
-};
+use crumple_verify::{ComparisonClaim, ProvedClaim, RateClaim, Registration, Rejection, Statement, check};
+
+use crate::support::certificate;
 
 fn check_statement(statement: Statement) -> Result<ProvedClaim, Rejection> {
-    let absent = CertificateProvenance::default();
-    check(&Certificate { version: 1, provenance: absent, assumptions: statement.assumptions(), statement })
+    check(&certificate(statement))
 }
 
 fn registration(runs: u64, confidence: f64) -> Registration {
@@ -18,9 +16,20 @@ fn registration(runs: u64, confidence: f64) -> Registration {
     Registration { configuration, runs, confidence, block_runs: None }
 }
 
-fn rate(failures: u64, runs: u64, rate_at_most: f64, confidence: f64) -> RateClaim {
+pub fn rate(failures: u64, runs: u64, rate_at_most: f64, confidence: f64) -> RateClaim {
     let registration = registration(runs, confidence);
     RateClaim { registration_sha256: registration.digest(), registration, failures, rate_at_most, blocks: Vec::new() }
+}
+
+pub fn comparison((runs, confidence): (u64, f64), only_first_failed: u64, only_second_failed: u64) -> Statement {
+    let registration = registration(runs, confidence);
+    Statement::Comparison(ComparisonClaim {
+        registration_sha256: registration.digest(),
+        registration,
+        only_first_failed,
+        only_second_failed,
+        blocks: Vec::new(),
+    })
 }
 
 fn is_shown(rate: RateClaim) -> bool {
@@ -91,17 +100,7 @@ fn a_change_of_any_number_that_matters_is_rejected() {
 
 #[test]
 fn the_better_of_two_is_decided_by_discordant_samples() {
-    let registration = registration(100_000, 0.99);
-    let shown = |only_first_failed, only_second_failed| {
-        let comparison = ComparisonClaim {
-            registration_sha256: registration.digest(),
-            registration: registration.clone(),
-            only_first_failed,
-            only_second_failed,
-            blocks: Vec::new(),
-        };
-        check_statement(Statement::Comparison(comparison)).is_ok()
-    };
+    let shown = |first, second| check_statement(comparison((100_000, 0.99), first, second)).is_ok();
     assert!(shown(0, 7), "1/128 is below 1 %");
     assert!(!shown(0, 6), "1/64 is not");
     assert!(!shown(7, 0));
@@ -162,25 +161,14 @@ fn limits_of_registrations_and_claims_are_exact() {
         let refused = rejection_text(Statement::Rate(rate(failures, 100, 0.5, 0.9)));
         assert_eq!(refused, "`failures` equal the number of runs: no bound on the rate follows");
     }
-    let comparison = |only_first_failed, only_second_failed| {
-        let registration = registration(10, 0.99);
-        let registration_sha256 = registration.digest();
-        let blocks = Vec::new();
-        Statement::Comparison(ComparisonClaim {
-            registration,
-            registration_sha256,
-            only_first_failed,
-            only_second_failed,
-            blocks,
-        })
-    };
+
     assert_eq!(
-        check_statement(comparison(0, 10)),
+        check_statement(comparison((10, 0.99), 0, 10)),
         Ok(ProvedClaim::FailsLessOften { confidence: 0.99 }),
         "2^-10 is below 1 %"
     );
     for only_second_failed in [11, 12, u64::MAX] {
-        let refused = rejection_text(comparison(0, only_second_failed));
+        let refused = rejection_text(comparison((10, 0.99), 0, only_second_failed));
         assert_eq!(refused, "`only_first_failed` and `only_second_failed` must not exceed the runs");
     }
 }

@@ -1,67 +1,40 @@
 //! Invalid reach statements are rejected with the name of the invalid field.
 
 use crumple_verify::reach::{
-    AccAebLaw, BoxDimension, FollowerLaw, IdmLaw, InitialRanges, LinearLayer, NativePolicy, NeuralController,
-    PartitionCell, ReachClaim, ResidualPolicy,
+    AccAebLaw, BoxDimension, FollowerLaw, IdmLaw, InitialRanges, NeuralController, PartitionCell, ReachClaim,
+    ResidualPolicy,
 };
 use crumple_verify::{Interval, Rejection};
 
-use crate::law_follower::{ACC_AEB, IDM};
-
-fn zero_controller() -> NeuralController {
-    NeuralController::from(NativePolicy {
-        layers: vec![LinearLayer { inputs: 8, outputs: 1, weights: vec![0.0; 8], biases: vec![0.0] }],
-        offset: [0.0; 8],
-        scale: [1.0; 8],
-        limit: 1.5,
-        empty_gap_m: 80.0,
-        action_bounds_mps2: [-7.5, 3.0],
-        residual_over: None,
-        decision_interval_s: 0.1,
-    })
-}
+use crate::law_follower::{ACC_AEB, ACC_AEB_LAW, IDM, IDM_LAW};
+use crate::reach::paper_box;
+use crate::support::networks::native_network;
+use crate::support::policy_bytes;
 
 fn claim() -> ReachClaim {
-    let at = Interval::point;
     ReachClaim {
-        policy_file: "policy.safetensors".to_owned(),
-        policy_sha256: String::new(),
-        source: None,
-        step_s: 0.01,
-        steps: 300,
-        follower_ttc_s: Some(1.4),
-        follower_law: None,
-        leader_brakes_at_most_mps2: None,
         observation_error: [0.0; 8],
-        ranges: InitialRanges {
-            gap_ahead_m: at(16.0),
-            gap_behind_m: at(16.0),
-            leader_speed_mps: at(25.0),
-            ego_speed_mps: at(25.0),
-            follower_speed_mps: at(25.0),
-            leader_brake_mps2: at(3.0),
-            follower_brake_mps2: at(6.0),
-            onset_steps: at(0.0),
-        },
+        ranges: InitialRanges { onset_steps: Interval::ZERO, ..paper_box(0.0, 0.0) },
         partition: vec![PartitionCell::Undecided],
         verified_share_at_least: 0.0,
         falsified_share_at_least: 0.0,
         min_gap_m_at_least: 0.0,
+        ..crate::reach::claim()
     }
 }
 
 #[test]
 fn meaningless_values_are_named() {
-    let scene = claim().problem(&zero_controller()).map(|scene| (scene.steps, scene.decision_steps));
+    let scene = claim().problem(&native_network(&[], 0.0, 0)).map(|scene| (scene.steps, scene.decision_steps));
     assert_eq!(scene, Ok((300, 10)));
-    assert!(ReachClaim { steps: 10, ..claim() }.problem(&zero_controller()).is_ok(), "one decision");
+    assert!(ReachClaim { steps: 10, ..claim() }.problem(&native_network(&[], 0.0, 0)).is_ok(), "one decision");
     assert!(
-        ReachClaim { follower_ttc_s: Some(0.0), ..claim() }.problem(&zero_controller()).is_ok(),
+        ReachClaim { follower_ttc_s: Some(0.0), ..claim() }.problem(&native_network(&[], 0.0, 0)).is_ok(),
         "a brake for contact alone"
     );
-    let (FollowerLaw::Idm(idm), FollowerLaw::AccAeb(acc_aeb)) = (IDM, ACC_AEB) else { panic!() };
+
     let followed = |law| ReachClaim { follower_ttc_s: None, follower_law: Some(Box::new(law)), ..claim() };
-    assert!(followed(ACC_AEB).problem(&zero_controller()).is_ok());
+    assert!(followed(ACC_AEB).problem(&native_network(&[], 0.0, 0)).is_ok());
     let backwards = Interval::point(-1.0);
     let wrong: Vec<(&str, ReachClaim)> = [
         ("step_s", ReachClaim { step_s: 0.0, ..claim() }),
@@ -81,9 +54,9 @@ fn meaningless_values_are_named() {
         ("follower_ttc_s", ReachClaim { follower_ttc_s: Some(-0.1), ..claim() }),
         ("follower_ttc_s", ReachClaim { follower_ttc_s: Some(f64::NAN), ..claim() }),
         ("follower_law", ReachClaim { follower_law: Some(Box::new(IDM)), ..claim() }),
-        ("follower_law", followed(FollowerLaw::Idm(IdmLaw { accel_mps2: 0.0, ..idm }))),
-        ("follower_law", followed(FollowerLaw::Idm(IdmLaw { time_headway_s: -0.1, ..idm }))),
-        ("follower_law", followed(FollowerLaw::AccAeb(AccAebLaw { ttc_s: f64::INFINITY, ..acc_aeb }))),
+        ("follower_law", followed(FollowerLaw::Idm(IdmLaw { accel_mps2: 0.0, ..IDM_LAW }))),
+        ("follower_law", followed(FollowerLaw::Idm(IdmLaw { time_headway_s: -0.1, ..IDM_LAW }))),
+        ("follower_law", followed(FollowerLaw::AccAeb(AccAebLaw { ttc_s: f64::INFINITY, ..ACC_AEB_LAW }))),
     ]
     .into_iter()
     .chain([-1e-9, f64::INFINITY].map(|error| {
@@ -92,7 +65,7 @@ fn meaningless_values_are_named() {
     }))
     .collect();
     for (name, wrong) in wrong {
-        match wrong.problem(&zero_controller()) {
+        match wrong.problem(&native_network(&[], 0.0, 0)) {
             Err(Rejection::Invalid { field, .. }) => assert_eq!(field, name, "{wrong:?}"),
             other => panic!("{name}: {other:?}"),
         }
@@ -102,8 +75,7 @@ fn meaningless_values_are_named() {
 /// A dead unit with near-maximal weights: zero in real numbers, infinity times zero in the engine.
 #[test]
 fn a_network_that_can_overflow_is_refused() {
-    let mut bytes =
-        std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors")).unwrap();
+    let mut bytes = policy_bytes("reference");
     assert!(NeuralController::from_bytes(&bytes).is_ok());
     let length = u64::from_le_bytes(*bytes.first_chunk().unwrap()) as usize;
     let listing: serde_json::Value = serde_json::from_slice(&bytes[8..8 + length]).unwrap();
@@ -142,7 +114,7 @@ fn shares_are_volumes_and_not_counts_of_cuts() {
 }
 
 fn with_header(change: impl Fn(&mut String, &mut String)) -> Vec<u8> {
-    let bytes = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors")).unwrap();
+    let bytes = policy_bytes("reference");
     let length = u64::from_le_bytes(*bytes.first_chunk().unwrap()) as usize;
     let listing = std::str::from_utf8(&bytes[8..8 + length]).unwrap().trim_end().to_owned();
     let value: serde_json::Value = serde_json::from_str(&listing).unwrap();
@@ -167,13 +139,12 @@ fn insert_residual(text: &mut String, how: &str) {
 #[test]
 fn a_residual_policy_is_read_with_its_base_controller() {
     let how = |how: &str| NeuralController::from_bytes(&with_header(|text, _| insert_residual(text, how))).unwrap();
-    let FollowerLaw::Idm(idm) = IDM else { panic!() };
-    let residual = ResidualPolicy { dead_zone: 0.3, rate_per_s: 200.0, idm };
+    let residual = ResidualPolicy { dead_zone: 0.3, rate_per_s: 200.0, idm: IDM_LAW };
     let controller = how("\"dead_zone\":0.3,\"rate_per_s\":200");
     assert_eq!((controller.residual_over, controller.scale_mps2, controller.offset_mps2), (Some(residual), 1.0, 0.0));
     assert_eq!(controller.action_bounds_mps2, [-7.5, 3.0]);
     let other = how("\"dead_zone\":0.3,\"rate_per_s\":200,\"idm\":{\"time_headway_s\":1.3}");
-    let idm = IdmLaw { time_headway_s: 1.3, ..idm };
+    let idm = IdmLaw { time_headway_s: 1.3, ..IDM_LAW };
     assert_eq!(other.residual_over, Some(ResidualPolicy { idm, ..residual }));
     // A step of 0.01 s completes any change at 200 1/s, but not at 199.
     assert!(claim().problem(&controller).is_ok());

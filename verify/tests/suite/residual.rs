@@ -1,26 +1,27 @@
 //! Bounds of an ego with a residual policy hold for each member.
 
 use crumple_verify::reach::{
-    BoxDimension, FollowerLaw, FollowerModel, IdmLaw, NetworkLayer, NeuralController, PartitionCell, ReachClaim,
-    ReachProblem, ResidualPolicy, reach, reach_with_tube,
+    FollowerLaw, FollowerModel, IdmLaw, NetworkLayer, NeuralController, PartitionCell, ReachClaim, ReachProblem,
+    ResidualPolicy, reach, reach_with_tube,
 };
 use crumple_verify::{Interval, ProvedClaim, WorkLimit, check_with};
 use proptest::prelude::*;
 
-use crate::law_follower::{IDM, any_law};
+use crate::law_follower::{IDM_LAW, any_law};
 use crate::leader::unscripted;
 use crate::reach::{
-    LATCHED, any_ranges, any_unit, box_member, certificate, claim, is_bounded, min_gap_under_attack, paper_box,
-    paper_problem, reference_policy_bytes, sha256,
+    LATCHED, any_ranges, any_unit, box_member, claim, is_bounded, min_gap_under_attack, paper_box, paper_problem,
+    point_box, prove_and_attack,
 };
 use crate::support::closed_loop::{XorShiftRng, scripted_braking, simulate, simulate_with_errors};
 use crate::support::networks::residual_network;
+use crate::support::{policy_bytes, reach_certificate, sha256};
 
 /// Generates residual policies over any `idm`, some with a slow rate.
 pub fn any_residual_policy() -> impl Strategy<Value = ResidualPolicy> {
     let law = any_law().prop_map(|law| match law {
         FollowerLaw::Idm(idm) => idm,
-        FollowerLaw::AccAeb(_) => native_idm(),
+        FollowerLaw::AccAeb(_) => IDM_LAW,
     });
     let zone = prop_oneof![1 => Just(0.0), 4 => 0.0..0.6_f64, 1 => 0.9..0.99_f64];
     let rate = prop_oneof![4 => Just(1000.0), 2 => 200.0..1000.0_f64, 1 => 0.1..200.0_f64];
@@ -29,13 +30,6 @@ pub fn any_residual_policy() -> impl Strategy<Value = ResidualPolicy> {
         rate_per_s,
         idm: IdmLaw { max_accel_mps2: 3.0, ..idm },
     })
-}
-
-fn native_idm() -> IdmLaw {
-    match IDM {
-        FollowerLaw::Idm(idm) => idm,
-        FollowerLaw::AccAeb(_) => unreachable!("it is idm"),
-    }
 }
 
 proptest! {
@@ -83,7 +77,7 @@ fn constant_action_controller(action: f64, residual: ResidualPolicy) -> NeuralCo
 /// Non-vacuous bounds around scenario 1, behind a leader that brakes at 0.7 m/s².
 #[test]
 fn verified_boxes_survive_search() {
-    let residual = ResidualPolicy { dead_zone: 0.4, rate_per_s: 1000.0, idm: native_idm() };
+    let residual = ResidualPolicy { dead_zone: 0.4, rate_per_s: 1000.0, idm: IDM_LAW };
     let mut ranges = paper_box(0.5, 0.0);
     ranges.leader_brake_mps2 = Interval::new(0.6, 0.8).unwrap();
     // The law alone, and a third and all of the way to full braking.
@@ -98,14 +92,10 @@ fn verified_boxes_survive_search() {
     }
 }
 
-fn road_policy_bytes() -> Vec<u8> {
-    std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/road.safetensors")).unwrap()
-}
-
 /// The check reads the base controller, which the statement omits, and adds it to the scope.
 #[test]
 fn the_base_controller_is_printed_with_the_scope() {
-    let bytes = road_policy_bytes();
+    let bytes = policy_bytes("road");
     let residual = NeuralController::from_bytes(&bytes).unwrap().residual_over.unwrap();
     let claim = ReachClaim {
         policy_sha256: sha256(&bytes),
@@ -114,7 +104,7 @@ fn the_base_controller_is_printed_with_the_scope() {
         falsified_share_at_least: 0.0,
         ..claim()
     };
-    let certificate = certificate(claim);
+    let certificate = reach_certificate(claim);
     let accepted = check_with(&certificate, Some(&bytes), WorkLimit::default()).unwrap();
     assert!(matches!(accepted, ProvedClaim::Reach { residual_over: Some(found), .. } if found == residual));
     let ResidualPolicy { dead_zone, rate_per_s, idm } = residual;
@@ -129,35 +119,29 @@ fn the_base_controller_is_printed_with_the_scope() {
         assert!(scope.contains(&text) && !plain.contains(&text), "{text}: {scope}");
     }
     // The digest rejects another policy with this claim.
-    assert!(check_with(&certificate, Some(&reference_policy_bytes()), WorkLimit::default()).is_err());
+    assert!(check_with(&certificate, Some(&policy_bytes("reference")), WorkLimit::default()).is_err());
 }
 
 /// Non-vacuous bounds for a committed policy over `idm`, through the leader's onset, the follower's brake and all
 /// stops.
 #[test]
 fn a_box_of_a_learned_policy_survives_search() {
-    let controller = NeuralController::from_bytes(&road_policy_bytes()).unwrap();
+    let controller = NeuralController::from_bytes(&policy_bytes("road")).unwrap();
     let mut ranges = paper_box(0.007, 0.002);
     ranges.follower_brake_mps2 = Interval::new(5.998, 6.002).unwrap();
     ranges.onset_steps = Interval::new(124.75, 125.25).unwrap();
     let scene = paper_problem(&controller, ranges);
-    let reached = reach(&scene);
-    let (found_m, proved_m) = (min_gap_under_attack(&scene, 300, 100, 3), reached.gaps_m[0].min(reached.gaps_m[1]));
-    println!("proved {proved_m:.3} m, found {found_m:.3} m {reached:?}");
-    assert_eq!(reached.undecided, None);
-    assert!(found_m >= proved_m && proved_m > found_m - 0.1, "{found_m} {proved_m}");
+    let [proved_m, found_m] = prove_and_attack(&scene, 300, 100, 3);
+    assert!(proved_m > found_m - 0.1, "{found_m} {proved_m}");
 }
 
 /// An ego that restarts within a decision interval and brakes again is not standing from then on.
 #[test]
 fn members_that_start_within_an_interval_are_propagated() {
-    let residual = ResidualPolicy { dead_zone: 0.0, rate_per_s: 1000.0, idm: native_idm() };
+    let residual = ResidualPolicy { dead_zone: 0.0, rate_per_s: 1000.0, idm: IDM_LAW };
     let controller = residual_network(&[12, 9], 1.760_118_541_084_301_7, 15_521_200_961_166_277_192, Some(residual));
     let start = [28.457_4, 0.0, 12.064_57, 0.0, 0.0, 4.290_4, 0.0, 72.658];
-    let mut ranges = paper_box(0.0, 0.0);
-    for (dimension, value) in BoxDimension::ALL.into_iter().zip(start) {
-        *ranges.get_mut(dimension) = Interval::point(value);
-    }
+    let ranges = point_box(start);
     let whole = paper_problem(&controller, ranges);
     let scene = ReachProblem {
         follower: None,
@@ -176,12 +160,9 @@ fn members_that_start_within_an_interval_are_propagated() {
 /// The law uses an observed own speed below 0 unclipped.
 #[test]
 fn a_speed_that_is_seen_below_0_counts_as_it_is() {
-    let residual = ResidualPolicy { dead_zone: 0.4, rate_per_s: 1000.0, idm: native_idm() };
+    let residual = ResidualPolicy { dead_zone: 0.4, rate_per_s: 1000.0, idm: IDM_LAW };
     let controller = constant_action_controller(0.0, residual);
-    let mut ranges = paper_box(0.0, 0.0);
-    for (dimension, value) in BoxDimension::ALL.into_iter().zip([4.0, 0.0, 25.0, 0.0, 0.0, 0.0, 0.0, 0.0]) {
-        *ranges.get_mut(dimension) = Interval::point(value);
-    }
+    let ranges = point_box([4.0, 0.0, 25.0, 0.0, 0.0, 0.0, 0.0, 0.0]);
     let observation_error = [0.0, 0.0, 0.0, 0.02, 0.0, 0.0, 0.0, 0.0];
     let whole = paper_problem(&controller, ranges);
     let scene = ReachProblem { follower: None, observation_error, stop_when_undecided: false, steps: 10, ..whole };

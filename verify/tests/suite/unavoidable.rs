@@ -2,7 +2,8 @@
 
 use crate::support;
 use crate::support::{
-    branches, certificate, has_escape, pick_member, profiles, proofs, row_values, scenes, simulate_scene,
+    branches, certificate, follower_at, has_escape, one_ego_scene, pick_member, profiles, proofs, row_values, scenes,
+    simulate_scene,
 };
 use crumple_verify::unavoidable::check_branch;
 use crumple_verify::*;
@@ -118,34 +119,7 @@ fn the_bound_is_attained() {
 
 /// Returns a car at 20 m/s behind a standing one; it can brake at 8 m/s² and accelerate at 3 m/s².
 fn standing_leader(gap_m: f64) -> Scene {
-    Scene {
-        step_s: 0.1,
-        steps: 10,
-        leader: SceneLeader {
-            position_m: Interval::point(gap_m + 2.0),
-            length_m: 2.0,
-            speed_mps: Interval::ZERO,
-            acceleration_mps2: vec![ConstantPiece(10, Interval::ZERO)],
-        },
-        egos: vec![SceneEgo {
-            position_m: Interval::ZERO,
-            length_m: 2.0,
-            speed_mps: Interval::point(20.0),
-            max_brake_mps2: 8.0,
-            max_accel_mps2: 3.0,
-        }],
-        follower: None,
-    }
-}
-
-fn follower_at(position_m: f64, speed_mps: f64) -> SceneFollower {
-    SceneFollower {
-        position_m: Interval::point(position_m),
-        speed_mps: Interval::point(speed_mps),
-        brake_mps2: Interval::point(6.0),
-        ttc_s: 1.0,
-        reaction_steps: 0,
-    }
+    one_ego_scene((0.1, 10), gap_m, [0.0, 20.0], [8.0, 3.0])
 }
 
 /// Ahead at 0.1 s, behind at 0.2 s: q = (0.2 - t)⁺ y2 - (0.1 - t)⁺ y1 with y1 = 3, y2 = 1 changes sign at 0.05 s.

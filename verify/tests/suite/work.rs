@@ -1,78 +1,50 @@
 //! Files cannot exceed the operation limit of the checker, whatever their declared size.
 
-use crumple_verify::{Certificate, ProvedClaim, Rejection, Statement, WorkLimit, check, check_with};
+use crumple_verify::reach::{BoxDimension, InitialRanges, PartitionCell, ReachClaim};
+use crumple_verify::*;
 use serde_json::{Value, json};
-use sha2::{Digest, Sha256};
 
+use crate::kernel::kernel;
 use crate::law_follower::IDM;
-
-const POLICY: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../corpora/policy/reference.safetensors");
-
-fn certificate_from_json(name: &str, assumptions: &[&str], claim: Value) -> Certificate {
-    let absent = json!({"crumple": "", "scenario": "", "scenario_sha256": ""});
-    let statement = Value::Object([(name.to_owned(), claim)].into_iter().collect());
-    let file = json!({"version": 1, "provenance": absent, "assumptions": assumptions, "statement": statement});
-    Certificate::from_json(&file.to_string()).unwrap()
-}
-
-fn policy() -> Vec<u8> {
-    std::fs::read(POLICY).unwrap()
-}
+use crate::rate::{comparison, rate};
+use crate::reach::{claim, paper_box};
+use crate::support::{self, certificate, one_ego_scene, policy_bytes};
 
 fn reach_certificate(cuts: u32, steps: u32) -> Certificate {
-    fn cells(cuts: u32) -> Vec<Value> {
+    fn cells(cuts: u32) -> Vec<PartitionCell> {
         match cuts {
-            0 => vec![json!("verified")],
-            _ => [vec![json!({"cut": "gap_ahead_m"})], cells(cuts - 1), cells(cuts - 1)].concat(),
+            0 => vec![PartitionCell::Verified],
+            _ => [vec![PartitionCell::Cut(BoxDimension::GapAheadM)], cells(cuts - 1), cells(cuts - 1)].concat(),
         }
     }
-    let digest: String = Sha256::digest(policy()).iter().map(|byte| format!("{byte:02x}")).collect();
-    let claim = json!({
-        "policy_file": "reference.safetensors", "policy_sha256": digest, "step_s": 0.01, "steps": steps,
-        "follower_ttc_s": 1.4, "observation_error": [1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 1e-9, 1e-9],
-        "ranges": {
-            "gap_ahead_m": {"low": 15.99, "high": 16.01}, "gap_behind_m": 16, "leader_speed_mps": 25,
-            "ego_speed_mps": 25, "follower_speed_mps": 25, "leader_brake_mps2": 3, "follower_brake_mps2": 6,
+    support::reach_certificate(ReachClaim {
+        steps,
+        ranges: InitialRanges {
+            gap_ahead_m: Interval::new(15.99, 16.01).unwrap(),
             // The leader never brakes, so propagation never stops early.
-            "onset_steps": 1e5
+            onset_steps: Interval::point(1e5),
+            ..paper_box(0.0, 0.0)
         },
-        "partition": cells(cuts), "verified_share_at_least": 0, "falsified_share_at_least": 0, "min_gap_m_at_least": 0
-    });
-    let driven = ["exact-motion", "scripted-leader", "policy-drives", "observed-within", "tanh-within"];
-    certificate_from_json("reach", &[&driven[..], &["latched-follower"]].concat(), claim)
+        partition: cells(cuts),
+        verified_share_at_least: 0.0,
+        falsified_share_at_least: 0.0,
+        min_gap_m_at_least: 0.0,
+        ..claim()
+    })
 }
 
 fn other_certificates() -> Vec<Certificate> {
-    let leader = json!({"position_m": 3, "length_m": 2, "speed_mps": 0, "acceleration_mps2": [[1000, 0]]});
-    let scene = |x: f64, v: f64| {
-        let ego = json!({"position_m": x, "length_m": 2, "speed_mps": v, "max_brake_mps2": 8, "max_accel_mps2": 3});
-        json!({"step_s": 0.1, "steps": 1000, "leader": leader, "egos": [ego], "follower": null})
-    };
-    let unavoidable = json!({"scene": scene(0.0, 20.0), "branches": [{"first": 0, "last": 1000, "front": [[1, 1]]}]});
-    let avoidable = json!({"scene": scene(-100.0, 20.0), "witness": [[[1000, -8]]]});
-    let kernel = json!({
-        "ego_brake_mps2": "6", "leader_brake_mps2": "6", "step_s": "1/100", "margin_m": "1/1000000",
-        "stopping_own_squared": "1/12", "stopping_ahead_squared": "-1/12"
-    });
-    let registration =
-        crumple_verify::Registration { configuration: [].into(), runs: 1_000_000, confidence: 0.999, block_runs: None };
-    let registered = |field: &str, k: u64, other: &str, value: Value| {
-        json!({
-            "registration": serde_json::to_value(&registration).unwrap(), "registration_sha256": registration.digest(),
-            field: k, other: value
-        })
-    };
-    vec![
-        certificate_from_json("avoidable", &["exact-motion", "scripted-leader", "ego-on-profile"], avoidable),
-        certificate_from_json("unavoidable", &["exact-motion", "scripted-leader", "ego-within-limits"], unavoidable),
-        certificate_from_json("kernel", &["exact-motion", "leader-within-limit", "ego-can-brake"], kernel),
-        certificate_from_json("rate", &["registered-draws"], registered("failures", 0, "rate_at_most", json!(0.01))),
-        certificate_from_json(
-            "comparison",
-            &["registered-draws"],
-            registered("only_first_failed", 0, "only_second_failed", json!(1000)),
-        ),
-    ]
+    let scene = |gap_m: f64| one_ego_scene((0.1, 1000), gap_m, [0.0, 20.0], [8.0, 3.0]);
+    let branch = Branch { last: 1000, front: vec![(1, 1.0)], ..Branch::default() };
+    let witness = vec![vec![ConstantPiece(1000, -8.0)]];
+    let statements = [
+        Statement::Avoidable(AvoidableClaim { scene: scene(101.0), witness, min_gap_m_at_least: None }),
+        Statement::Unavoidable(UnavoidableClaim { scene: scene(1.0), branches: vec![branch] }),
+        Statement::Kernel(kernel("6", "6")),
+        Statement::Rate(rate(0, 1_000_000, 0.01, 0.999)),
+        comparison((1_000_000, 0.999), 0, 1000),
+    ];
+    statements.map(certificate).into()
 }
 
 fn is_too_much(result: &Result<ProvedClaim, Rejection>) -> bool {
@@ -84,7 +56,7 @@ fn excessive_announced_work_is_refused() {
     // 32 767 cells of a hundred thousand steps in half a megabyte: many hours.
     let endless = reach_certificate(14, 100_000);
     let limit = WorkLimit::from_billions(1);
-    let result = check_with(&endless, Some(&policy()), limit);
+    let result = check_with(&endless, Some(&policy_bytes("reference")), limit);
     assert_eq!(result, Err(Rejection::BudgetExceeded { limit }));
     let message = result.unwrap_err().to_string();
     assert_eq!(message, "the check takes more than the allowed 1000000000 operations");
@@ -108,17 +80,17 @@ fn limits_are_printed_in_whole_billions() {
 #[test]
 fn a_modelled_follower_is_counted() {
     let (mut claim, limit) = (reach_certificate(0, 3000), WorkLimit::from_operations(600_000_000));
-    assert!(check_with(&claim, Some(&policy()), limit).is_ok());
+    assert!(check_with(&claim, Some(&policy_bytes("reference")), limit).is_ok());
     let Statement::Reach(of) = &mut claim.statement else { panic!() };
     (of.follower_ttc_s, of.follower_law) = (None, Some(Box::new(IDM)));
     claim.assumptions = claim.statement.assumptions();
-    assert!(is_too_much(&check_with(&claim, Some(&policy()), limit)));
-    assert!(check_with(&claim, Some(&policy()), WorkLimit::default()).is_ok());
+    assert!(is_too_much(&check_with(&claim, Some(&policy_bytes("reference")), limit)));
+    assert!(check_with(&claim, Some(&policy_bytes("reference")), WorkLimit::default()).is_ok());
 }
 
 #[test]
 fn the_limit_is_where_it_was() {
-    let (claim, policy) = (reach_certificate(3, 500), policy());
+    let (claim, policy) = (reach_certificate(3, 500), policy_bytes("reference"));
     let checked = |operations: u64| check_with(&claim, Some(&policy), WorkLimit::from_operations(operations));
     let (mut refused, mut enough) = (0, 1 << 40);
     assert!(checked(enough).is_ok(), "{:?}", checked(enough));

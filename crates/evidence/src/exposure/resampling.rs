@@ -64,6 +64,20 @@ pub struct Resamples {
 }
 
 impl Resamples {
+    /// Creates resamples from their estimates, the bounds drawn for each, and the sum of the variances within them.
+    fn new(
+        estimates: &[f64],
+        mut bounds: [Vec<f64>; 2],
+        within: f64,
+        failed_fits: u32,
+        runs_each: Option<u32>,
+    ) -> Self {
+        bounds.iter_mut().for_each(|drawn| drawn.sort_by(f64::total_cmp));
+        let within = within / estimates.len() as f64;
+        let data_variance = (sample_variance(estimates) - within).max(0.0);
+        Self { sorted_bounds: bounds, failed_fits, runs_each, data_variance }
+    }
+
     /// Returns Efron's percentile interval: the values at rank ⌊(n + 1) α/2⌋ from both ends of n; `None` with too few
     /// values.
     #[must_use]
@@ -145,10 +159,7 @@ pub fn count_on_resamples<E>(
         spread[0].push(if failed == 0.0 { 0.0 } else { drawn });
         spread[1].push(if failed == n { 1.0 } else { drawn });
     }
-    let within = within / shares.len() as f64;
-    spread.iter_mut().for_each(|drawn| drawn.sort_by(f64::total_cmp));
-    let variance = (sample_variance(&shares) - within).max(0.0);
-    Ok(Ok(Resamples { sorted_bounds: spread, failed_fits: unfit, runs_each: Some(runs), data_variance: variance }))
+    Ok(Ok(Resamples::new(&shares, spread, within, unfit, Some(runs))))
 }
 
 /// Estimates the probability in spaces that are fitted to resamples; `again` takes a space and a seed. The inner error
@@ -179,10 +190,7 @@ pub(crate) fn estimate_on_resamples<E>(
         spread[0].push(probability);
         spread[1].push(at_most);
     }
-    let within = within / found.len() as f64;
-    spread.iter_mut().for_each(|drawn| drawn.sort_by(f64::total_cmp));
-    let variance = (sample_variance(&found) - within).max(0.0);
-    Ok(Ok(Resamples { sorted_bounds: spread, failed_fits: unfit, runs_each: None, data_variance: variance }))
+    Ok(Ok(Resamples::new(&found, spread, within, unfit, None)))
 }
 
 fn sample_variance(values: &[f64]) -> f64 {

@@ -104,15 +104,20 @@ fn coverage_at_several_exposures() {
     }
 }
 
+fn space_with_exposure(undescribed_brakings: u64) -> ScenarioSpace {
+    let mut spec = traffic().spec().clone();
+    let (kilometres, sources) = (100.0, Vec::new());
+    spec.exposure = Some(DrivingExposure { episodes: 50, hours: 2.0, kilometres, undescribed_brakings, sources });
+    ScenarioSpace::new(spec, Path::new("")).unwrap()
+}
+
 #[test]
 fn a_space_without_exposure_has_no_rates_and_one_without_data_no_more_than_counting() {
     let truth = traffic();
     let known = FailureProbability::Counted { failures: 3, unknown: 0, runs: 1000 };
     let none = Err(&ResamplingError::NotRequested);
     assert_eq!(RatePerExposure::new(&truth, known, none), None);
-    let mut spec = truth.spec().clone();
-    spec.exposure = Some(exposure_for(2.0, 0));
-    let space = ScenarioSpace::new(spec, Path::new("")).unwrap();
+    let space = space_with_exposure(0);
     assert_eq!(count_on_resamples(&space, 0, 79, 10, &mut failures).unwrap(), Err(ResamplingError::NoData));
     let rate = RatePerExposure::new(&space, known, none).unwrap();
     assert_eq!((rate.clusters, rate.with_data_uncertainty), (50, None));
@@ -122,17 +127,11 @@ fn a_space_without_exposure_has_no_rates_and_one_without_data_no_more_than_count
     assert!(per_hour.lower < per_hour.estimate && per_hour.upper > per_hour.estimate);
 }
 
-fn exposure_for(hours: f64, undescribed_brakings: u64) -> DrivingExposure {
-    DrivingExposure { episodes: 50, hours, kilometres: 100.0, undescribed_brakings, sources: Vec::new() }
-}
-
 #[test]
 fn brakings_that_were_left_out_count_in_rates_per_hour() {
     let known = FailureProbability::Counted { failures: 30, unknown: 0, runs: 1000 };
     let rate = |undescribed_brakings: u64| {
-        let mut spec = traffic().spec().clone();
-        spec.exposure = Some(exposure_for(2.0, undescribed_brakings));
-        let space = ScenarioSpace::new(spec, Path::new("")).unwrap();
+        let space = space_with_exposure(undescribed_brakings);
         RatePerExposure::new(&space, known, Err(&ResamplingError::NotRequested)).unwrap()
     };
     let (all, half) = (rate(0), rate(50));
@@ -149,21 +148,17 @@ fn brakings_that_were_left_out_count_in_rates_per_hour() {
 /// Without spread of the repetitions, their independent initial runs bound the rate.
 #[test]
 fn estimates_without_a_spread_still_bound_the_rate() {
-    let mut spec = traffic().spec().clone();
-    spec.exposure = Some(exposure_for(2.0, 0));
-    let space = ScenarioSpace::new(spec, Path::new("")).unwrap();
+    let space = space_with_exposure(0);
     let rate = |probability: Option<f64>, independent: (u64, u64)| {
         let (independent_failures, independent_runs) = independent;
         let estimate = RareEstimate {
             probability,
             coefficient_of_variation: probability.filter(|found| *found > 0.0).map(|_| 0.0),
-            interval_95: None,
             repetitions: vec![probability.unwrap_or(0.0); 5],
             evaluations: independent_runs,
             independent_runs,
             independent_failures,
-            levels: Vec::new(),
-            largest_weight: None,
+            ..RareEstimate::default()
         };
         RatePerExposure::new(&space, FailureProbability::Estimated(&estimate), Err(&ResamplingError::NotRequested))
     };
@@ -209,26 +204,14 @@ fn estimates_in_resamples_agree_with_new_runs() {
     let estimate = |probability: Option<f64>| RareEstimate {
         probability,
         coefficient_of_variation: probability.map(|_| 1e-6),
-        interval_95: None,
-        repetitions: Vec::new(),
-        evaluations: 0,
         independent_runs: 500,
-        independent_failures: 0,
-        levels: vec![Level {
-            margin: 1.0,
-            smallest_gap_m: None,
-            probability: 1e-3,
-            share: 0.1,
-            step: None,
-            acceptance: None,
-        }],
-        largest_weight: None,
+        levels: vec![Level { margin: 1.0, probability: 1e-3, share: 0.1, ..Level::default() }],
+        ..RareEstimate::default()
     };
     let share = |space: &ScenarioSpace, seed: u64| failures(space, seed, 4000).map(|failed| failed as f64 / 4000.0);
     let climbed = estimate_on_resamples(&space, 9, 80, &mut |space: &ScenarioSpace, seed| {
-        Ok(estimate(Some(share(space, seed)?)))
+        Ok::<_, std::convert::Infallible>(estimate(Some(share(space, seed)?)))
     });
-    let climbed: Result<_, std::convert::Infallible> = climbed;
     let (climbed, counted) =
         (climbed.unwrap().unwrap(), count_on_resamples(&space, 9, 80, 4000, &mut failures).unwrap().unwrap());
     for (a, b) in climbed.sorted_bounds[0].iter().zip(&counted.sorted_bounds[0]) {

@@ -143,23 +143,19 @@ impl ExclusionCounts {
     /// Describes the exclusions in sentences, for episodes of this number of vehicles.
     #[must_use]
     pub fn sentences(&self, vehicles: usize) -> Vec<String> {
-        let Self {
-            no_follower: nobody_behind,
-            too_few_vehicles: shorter,
-            impossible_speeds: impossible,
-            out_of_range: outside,
-        } = self;
+        let Self { no_follower, too_few_vehicles, impossible_speeds, out_of_range } = self;
         let mut words = Vec::new();
-        if nobody_behind + shorter > 0 {
+        if no_follower + too_few_vehicles > 0 {
             words.push(format!(
-                "Excluded, with their hours: {nobody_behind} episodes without a known follower, {shorter} with fewer \
-                 than {vehicles} vehicles"
+                "Excluded, with their hours: {no_follower} episodes without a known follower, {too_few_vehicles} with \
+                 fewer than {vehicles} vehicles"
             ));
         }
-        if impossible + outside > 0 {
+        if impossible_speeds + out_of_range > 0 {
             words.push(format!(
-                "Excluded, but part of these hours: {impossible} episodes with impossible speeds, {outside} with \
-                 values outside the ranges; rates per hour assume that they fail as often as the others"
+                "Excluded, but part of these hours: {impossible_speeds} episodes with impossible speeds, \
+                 {out_of_range} with values outside the ranges; rates per hour assume that they fail as often as the \
+                 others"
             ));
         }
         words
@@ -205,30 +201,24 @@ impl EpisodeSample {
         let mut collected = EpisodeCollector::new(taken);
         recordings.iter().try_for_each(|recording| collected.add(recording))?;
         let EpisodeCollector {
-            features: mut numbers,
-            clusters: waves,
-            mut columns,
-            lengths,
-            sources,
-            exclusions: left_out,
-            out_of_range: outside,
-            ..
+            mut features, clusters, mut columns, lengths, sources, exclusions, out_of_range, ..
         } = collected;
-        let outside_by = numbers.iter().zip(&outside).max_by_key(|(_, count)| **count).filter(|(_, count)| **count > 0);
-        let outside_by = outside_by.map(|(number, _)| number.name.clone());
+        let most_out_of_range =
+            features.iter().zip(&out_of_range).max_by_key(|(_, count)| **count).filter(|(_, count)| **count > 0);
+        let most_out_of_range = most_out_of_range.map(|(feature, _)| feature.name.clone());
         let sizes: Vec<VehicleSizes> = lengths.iter().map(|lengths| VehicleSizes::new(lengths)).collect();
         for (index, (sizes, lengths)) in sizes.iter().zip(&lengths).enumerate() {
-            if let Some(number) = sizes.feature(index) {
-                numbers.push(number);
+            if let Some(feature) = sizes.feature(index) {
+                features.push(feature);
                 columns.push(sizes.scenario_lengths_m(lengths));
             }
         }
-        let (found, needed) = (waves.len(), min_episodes(numbers.len()));
+        let (found, needed) = (clusters.len(), min_episodes(features.len()));
         if found < needed {
-            let mut most = outside_by.map(|name| format!(", most of them {name}")).unwrap_or_default();
-            if left_out.impossible_speeds + left_out.no_follower > 0 {
-                let ExclusionCounts { no_follower: nobody_behind, impossible_speeds: impossible, .. } = left_out;
-                most += &format!(", {nobody_behind} have no known follower, {impossible} have impossible speeds");
+            let mut most = most_out_of_range.map(|name| format!(", most of them {name}")).unwrap_or_default();
+            if exclusions.impossible_speeds + exclusions.no_follower > 0 {
+                let ExclusionCounts { no_follower, impossible_speeds, .. } = exclusions;
+                most += &format!(", {no_follower} have no known follower, {impossible_speeds} have impossible speeds");
             }
             // A recording in which no braking is detectable looks like one without braking.
             let mut evaluated = recordings.iter().map(|recording| (recording, hardest_braking(recording)));
@@ -237,46 +227,37 @@ impl EpisodeSample {
             {
                 most += &format!("; {}: {why}", source_name(recording));
             }
-            let (shorter, outside) = (left_out.too_few_vehicles, left_out.out_of_range);
             return Err(FitError::TooFew {
                 found,
                 needed,
                 vehicles,
-                too_few_vehicles: shorter,
-                out_of_range: outside,
+                too_few_vehicles: exclusions.too_few_vehicles,
+                out_of_range: exclusions.out_of_range,
                 details: most,
             });
         }
         if found > MAX_EPISODES {
             return Err(FitError::TooMany { found, max: MAX_EPISODES, what: "episodes" });
         }
-        let parameter = |(number, values): (&EpisodeFeature, Vec<f64>)| ObservedParameter {
-            name: number.name.clone(),
-            low: number.range[0],
-            high: number.range[1],
-            point_mass: number.point_mass.filter(|point| values.contains(point)),
+        let parameter = |(feature, values): (&EpisodeFeature, Vec<f64>)| ObservedParameter {
+            name: feature.name.clone(),
+            low: feature.range[0],
+            high: feature.range[1],
+            point_mass: feature.point_mass.filter(|point| values.contains(point)),
             values,
         };
         let exposure = DrivingExposure {
             episodes: found as u64,
             hours: sources.iter().map(|source| source.hours).sum(),
             kilometres: sources.iter().map(|source| source.kilometres).sum(),
-            undescribed_brakings: left_out.count_in_exposure() as u64,
+            undescribed_brakings: exclusions.count_in_exposure() as u64,
             sources,
         };
         let observed = ObservedData {
-            braking_clusters: renumber_clusters(&waves),
-            parameters: numbers.iter().zip(columns).map(parameter).collect(),
+            braking_clusters: renumber_clusters(&clusters),
+            parameters: features.iter().zip(columns).map(parameter).collect(),
         };
-        Ok(Self {
-            extraction: taken,
-            features: numbers,
-            observed,
-            exposure,
-            sizes,
-            exclusions: left_out,
-            most_out_of_range: outside_by,
-        })
+        Ok(Self { extraction: taken, features, observed, exposure, sizes, exclusions, most_out_of_range })
     }
 }
 

@@ -74,7 +74,7 @@ impl RareFolder {
     /// [`RareError::RunFolder`] if it is damaged.
     pub fn read_report(&self) -> Result<Option<RareReport>, RareError> {
         let damaged = |error: serde_json::Error| RunFolderError::damaged(&self.path(), format!("no estimate: {error}"));
-        let bytes = self.progress.run_folder().read(ESTIMATE_FILE)?;
+        let bytes = self.progress.run_folder.read(ESTIMATE_FILE)?;
         let kept: Option<RareReport> =
             bytes.map(|bytes| serde_json::from_slice(&bytes)).transpose().map_err(damaged)?;
         Ok(kept.map(RareReport::with_gaps))
@@ -91,7 +91,7 @@ impl RareFolder {
     /// True if the folder has a complete estimate.
     #[must_use]
     pub fn is_complete(&self) -> bool {
-        self.progress.run_folder().is_complete()
+        self.progress.run_folder.is_complete()
     }
 
     /// Runs or resumes the pilot, and saves the levels. Reports every batch of runs.
@@ -159,6 +159,6 @@ impl RareFolder {
     /// Returns the path of the estimate.
     #[must_use]
     pub fn path(&self) -> PathBuf {
-        self.progress.run_folder().path(ESTIMATE_FILE)
+        self.progress.run_folder.path(ESTIMATE_FILE)
     }
 }

@@ -76,8 +76,8 @@ impl ImportanceProposal {
         keep: &mut dyn FnMut(&MixtureFitting) -> Result<(), P::Error>,
         counter: &ProgressCounter<'_>,
     ) -> Result<Self, P::Error> {
-        let (effort, seed) = (begun.splitting.effort(), begun.splitting.seed());
-        let stages = begun.splitting.stages().to_vec();
+        let (effort, seed) = (begun.splitting.effort, begun.splitting.seed);
+        let stages = begun.splitting.stages.to_vec();
         if !begun.splitting.reaches_failure() {
             return Ok(Self { splitting: begun.splitting, mixture: None, fitting_runs: 0 });
         }
@@ -116,7 +116,7 @@ impl ImportanceProposal {
     }
 
     pub(super) fn planned_runs(&self) -> u64 {
-        let effort = self.splitting.effort();
+        let effort = self.splitting.effort;
         if self.reaches_failure() { (effort.repetitions * effort.samples) as u64 } else { 0 }
     }
 
@@ -128,7 +128,7 @@ impl ImportanceProposal {
         counter: &ProgressCounter<'_>,
     ) -> Result<Vec<WeightedRepetition>, P::Error> {
         let Some(mixture) = &self.mixture else { return Ok(Vec::new()) };
-        let (effort, seed) = (self.splitting.effort(), self.splitting.seed());
+        let (effort, seed) = (self.splitting.effort, self.splitting.seed);
         let repeat = |index: u64| {
             let random = stream(seed, Purpose::RareEvents, 1 + index);
             let mut climber = ParticlePopulation::new(problem, effort.samples, random, counter);
@@ -146,7 +146,7 @@ impl ImportanceProposal {
     }
 
     pub(super) fn is_consistent_with(&self, repetitions: &[WeightedRepetition]) -> bool {
-        let effort = self.splitting.effort();
+        let effort = self.splitting.effort;
         let is_mean = |one: &WeightedRepetition| one.probability.is_finite() && one.probability >= 0.0;
         repetitions.iter().all(|one| {
             is_mean(one) && (0.0..=1.0).contains(&one.largest_weight_share) && one.evaluations == effort.samples as u64
@@ -169,14 +169,7 @@ impl ImportanceProposal {
         let probability = estimate.probability.unwrap_or(0.0);
         let before = estimate.levels.last().map_or(1.0, |level| level.probability);
         let share = if before > 0.0 { (probability / before).min(1.0) } else { 0.0 };
-        estimate.levels.push(Level {
-            margin: 0.0,
-            smallest_gap_m: None,
-            probability,
-            share,
-            step: None,
-            acceptance: None,
-        });
+        estimate.levels.push(Level { probability, share, ..Level::default() });
         estimate
     }
 }

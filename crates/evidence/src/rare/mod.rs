@@ -85,7 +85,7 @@ impl Default for SplittingConfig {
 }
 
 /// A level and its results.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "WrittenLevel")]
 pub struct Level {
     /// Threshold: runs with at most this robustness pass, in metres for collisions. The last level is the failure, at
@@ -127,7 +127,7 @@ impl TryFrom<WrittenLevel> for Level {
 }
 
 /// Estimate of a rare failure rate.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub struct RareEstimate {
     /// Probability of a failure, at most 1; `None` if the pilot reached none.
     pub probability: Option<f64>,

@@ -96,7 +96,7 @@ impl Pilot {
         problem: &P,
         counter: &ProgressCounter<'_>,
     ) -> Result<RareEstimate, P::Error> {
-        Ok(self.summary([&self.run_repetitions(problem, 0..self.levels().effort().repetitions as u64, counter)?]))
+        Ok(self.summary([&self.run_repetitions(problem, 0..self.levels().effort.repetitions as u64, counter)?]))
     }
 
     /// Runs some of the repetitions; each depends only on the seed and its number. Runs none if no failure was reached.
@@ -109,7 +109,7 @@ impl Pilot {
         range: Range<u64>,
         counter: &ProgressCounter<'_>,
     ) -> Result<Repetitions, P::Error> {
-        let range = range.start..range.end.min(self.levels().effort().repetitions as u64);
+        let range = range.start..range.end.min(self.levels().effort.repetitions as u64);
         Ok(match self {
             Self::Splitting(levels) => Repetitions::Splitting(levels.run_repetitions(problem, range, counter)?),
             Self::Importance(proposal) => Repetitions::Importance(proposal.run_repetitions(problem, range, counter)?),
@@ -155,7 +155,7 @@ impl Pilot {
 
     /// Returns the number of repetitions between checkpoints: at least one per thread, and more if they are short.
     pub(super) fn repetitions_per_write(&self) -> u64 {
-        let all = self.levels().effort().repetitions as u64;
+        let all = self.levels().effort.repetitions as u64;
         let each = (self.planned_runs() / all.max(1)).max(1);
         MIN_RUNS_PER_WRITE.div_ceil(each).max(rayon::current_num_threads() as u64)
     }

@@ -194,7 +194,7 @@ impl RarePlan {
         if own.is_empty() {
             return Ok(Vec::new());
         }
-        let (mut part, none) = (ResampleShard::new(own), RareEstimate::empty());
+        let (mut part, none) = (ResampleShard::new(own), RareEstimate::default());
         let mut again = |space: &ScenarioSpace, seed: u64| part.next(none.clone(), || again(space, seed));
         // The merge reports why resampling is impossible.
         let _ = estimate_on_resamples(&self.space, self.seed, resamples, &mut again)?;

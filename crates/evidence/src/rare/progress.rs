@@ -18,7 +18,7 @@ pub(super) const PROGRESS_FILE: &str = "progress.json";
 /// A run folder of an estimate, or of a shard of one.
 #[derive(Debug)]
 pub(super) struct RareProgress {
-    run_folder: RunFolder,
+    pub(super) run_folder: RunFolder,
     state: RareProgressFile,
 }
 
@@ -54,10 +54,6 @@ impl RareProgress {
             true => Ok(Self { run_folder: work, state: found }),
             false => Err(damaged("belongs to another estimate".to_owned())),
         }
-    }
-
-    pub(super) fn run_folder(&self) -> &RunFolder {
-        &self.run_folder
     }
 
     /// Returns the saved pilot, or runs the rest of it.

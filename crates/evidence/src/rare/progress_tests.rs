@@ -6,24 +6,9 @@ use proptest::prelude::*;
 
 use super::progress::PROGRESS_FILE;
 use super::*;
+use crate::fixtures::rare_plan;
 use crumple_core::observer::{Listener, RunProgress};
 use crumple_store::shard::ShardId;
-use crumple_world::control::ControllerSpec;
-use crumple_world::measure::Specification;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::built_in_space;
-
-fn plan(method: RareMethod, seed: u64) -> RarePlan {
-    RarePlan {
-        controller: ControllerSpec::from_name("match-leader").unwrap().into(),
-        space: built_in_space("paper").unwrap(),
-        estimator: EstimatorKind::Truth,
-        specification: Specification::NoContact,
-        method,
-        seed,
-        effort: SplittingConfig { samples: 50, repetitions: 14 },
-    }
-}
 
 fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
@@ -76,7 +61,7 @@ proptest! {
         (importance, seed, shard) in (any::<bool>(), 0..20_u64, prop::option::of(1..=2_u32)),
         interruptions in prop::collection::vec((100..6000_u64, 1..=3_usize), 1..5),
     ) {
-        let plan = plan(if importance { RareMethod::Importance } else { RareMethod::Splitting }, seed);
+        let plan = rare_plan(if importance { RareMethod::Importance } else { RareMethod::Splitting }, seed, 14);
         let shard = shard.map(|index| ShardId::new(index, 2).unwrap());
         let name = if shard.is_some() { "repetitions.json" } else { "rare-estimate.json" };
         let root = tempfile::tempdir().unwrap();
@@ -95,7 +80,7 @@ proptest! {
 #[test]
 fn repetitions_are_kept_as_they_end() {
     for method in [RareMethod::Splitting, RareMethod::Importance] {
-        let (plan, root) = (plan(method, 1), tempfile::tempdir().unwrap());
+        let (plan, root) = (rare_plan(method, 1, 14), tempfile::tempdir().unwrap());
         let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
         let all = with_threads(1, || run_until(&plan, None, &through, u64::MAX)).unwrap();
         assert_eq!(with_threads(1, || run_until(&plan, None, &broken, all - 1)), None);
@@ -108,14 +93,14 @@ fn repetitions_are_kept_as_they_end() {
 
 #[test]
 fn only_the_same_estimate_resumes_an_unfinished_folder() {
-    let (plan, root) = (plan(RareMethod::Importance, 1), tempfile::tempdir().unwrap());
+    let (plan, root) = (rare_plan(RareMethod::Importance, 1, 14), tempfile::tempdir().unwrap());
     assert_eq!(with_threads(1, || run_until(&plan, None, root.path(), 3000)), None);
     assert!(root.path().join(PROGRESS_FILE).exists());
     let error = |plan: &RarePlan, resume| plan.open_folder(root.path(), resume).err().map(|error| error.to_string());
     assert!(
         error(&plan, false).unwrap().ends_with("already holds a rare-failure estimate: use --resume or another --out")
     );
-    for other in [self::plan(RareMethod::Splitting, 1), self::plan(RareMethod::Importance, 2)] {
+    for other in [rare_plan(RareMethod::Splitting, 1, 14), rare_plan(RareMethod::Importance, 2, 14)] {
         assert!(
             error(&other, true).unwrap().ends_with("the rare-failure estimate there has a different configuration")
         );

@@ -134,7 +134,7 @@ impl RareShard<'_> {
     /// True if the shard is complete.
     #[must_use]
     pub fn is_complete(&self) -> bool {
-        self.progress.run_folder().is_complete()
+        self.progress.run_folder.is_complete()
     }
 
     /// Runs or resumes the pilot, and saves the levels. Reports every batch of runs.

@@ -5,32 +5,14 @@ use rand::RngExt;
 use rand::seq::SliceRandom;
 
 use super::*;
+use crate::fixtures::{rare_plan, read_completed};
 use crumple_core::observer::Quiet;
-use crumple_store::run_folder::{CompletedRun, RunState, read_state};
 use crumple_store::shard::{MergeError, ShardId};
-use crumple_world::control::ControllerSpec;
-use crumple_world::measure::Specification;
-use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
-use crumple_world::scenario::space::built_in_space;
 
 fn plan(seed: u64) -> RarePlan {
-    RarePlan {
-        controller: ControllerSpec::from_name("match-leader").unwrap().into(),
-        space: built_in_space("paper").unwrap(),
-        estimator: EstimatorKind::Truth,
-        specification: Specification::NoContact,
-        method: if seed.is_multiple_of(2) { RareMethod::Splitting } else { RareMethod::Importance },
-        seed,
-        effort: SplittingConfig { samples: 50, repetitions: 7 },
-    }
-}
-
-fn read_completed(folder: &std::path::Path) -> CompletedRun {
-    match read_state(folder).unwrap() {
-        RunState::Complete(finished) => finished,
-        other => panic!("{other:?}"),
-    }
+    let method = if seed.is_multiple_of(2) { RareMethod::Splitting } else { RareMethod::Importance };
+    rare_plan(method, seed, 7)
 }
 
 #[test]

@@ -55,9 +55,9 @@ pub(super) trait LimitState: Sync {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SplittingLevels {
-    effort: SplittingConfig,
-    seed: u64,
-    stages: Vec<SplittingStage>,
+    pub(super) effort: SplittingConfig,
+    pub(super) seed: u64,
+    pub(super) stages: Vec<SplittingStage>,
     #[serde(rename = "pilot")]
     pilot_runs: u64,
     /// Number of independent initial samples; only those of the first pilot if a failure was reached.
@@ -212,13 +212,14 @@ impl SplittingLevels {
             (step, before) = (stage.step, threshold);
             pilot.stages.push(stage);
             let acceptance = Some(accepted as f64 / proposed.max(1) as f64);
+            let step = Some(step);
             pilot.pilot_levels.push(Level {
                 margin: threshold,
-                smallest_gap_m: None,
                 probability,
                 share,
-                step: Some(step),
+                step,
                 acceptance,
+                ..Level::default()
             });
         }
         pilot.pilot_runs = climber.evaluations;
@@ -238,25 +239,13 @@ impl SplittingLevels {
         if self.reaches_failure { (self.effort.repetitions * self.effort.samples * (1 + moves)) as u64 } else { 0 }
     }
 
-    pub(super) fn effort(&self) -> SplittingConfig {
-        self.effort
-    }
-
-    pub(super) fn seed(&self) -> u64 {
-        self.seed
-    }
-
-    pub(super) fn stages(&self) -> &[SplittingStage] {
-        &self.stages
-    }
-
     pub(super) fn pilot_estimate(&self) -> RareEstimate {
         RareEstimate {
             evaluations: self.pilot_runs,
             independent_runs: self.pilot_draws,
             independent_failures: self.pilot_failures,
             levels: self.pilot_levels.clone(),
-            ..RareEstimate::empty()
+            ..RareEstimate::default()
         }
     }
 
@@ -319,36 +308,22 @@ impl SplittingLevels {
             let [accepted, proposed] = [sum(|seen| seen.accepted), sum(|seen| seen.proposed)];
             Level {
                 margin: stage.threshold,
-                smallest_gap_m: None,
                 probability: mean(&seen.iter().map(|seen| product(seen, index + 1)).collect::<Vec<_>>()),
                 share: mean(&here.iter().map(|seen| seen.share).collect::<Vec<_>>()),
                 step: (!stage.is_last).then_some(stage.step),
                 acceptance: (proposed > 0).then(|| accepted as f64 / proposed as f64),
+                ..Level::default()
             }
         });
         let levels: Vec<Level> = levels.collect();
         let repetitions: Vec<f64> = seen.iter().map(|seen| product(seen, self.stages.len())).collect();
         let begun =
-            RareEstimate { evaluations, independent_runs, independent_failures, levels, ..RareEstimate::empty() };
+            RareEstimate { evaluations, independent_runs, independent_failures, levels, ..RareEstimate::default() };
         begun.with_repetitions(repetitions)
     }
 }
 
 impl RareEstimate {
-    pub(super) fn empty() -> Self {
-        Self {
-            probability: None,
-            coefficient_of_variation: None,
-            interval_95: None,
-            repetitions: Vec::new(),
-            evaluations: 0,
-            independent_runs: 0,
-            independent_failures: 0,
-            levels: Vec::new(),
-            largest_weight: None,
-        }
-    }
-
     /// Sets mean and spread of independent repetitions. A mean of weights may exceed 1; the probability is limited.
     pub(super) fn with_repetitions(self, repetitions: Vec<f64>) -> Self {
         let mean = mean(&repetitions);

@@ -8,14 +8,11 @@ use statrs::distribution::{ChiSquared, ContinuousCDF};
 
 use super::splitting::{LimitState, RandomInputs};
 use super::*;
+use crate::fixtures::{count_all, rare_plan};
 use crate::{RateConfig, RatePlan};
 use crumple_core::observer::{ProgressCounter, Quiet, Stopped};
-use crumple_world::control::ControllerSpec;
-use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::Stream;
-use crumple_world::scenario::space::built_in_space;
-use crumple_world::sim::NamedController;
 
 struct ClosedFormLimitState {
     dimension: usize,
@@ -51,6 +48,10 @@ fn upper_tail(x: f64) -> f64 {
     0.5 * libm::erfc(x / SQRT_2)
 }
 
+fn coordinate(state: &RandomInputs, index: usize) -> f64 {
+    state.normal.get(index).copied().unwrap_or(0.0)
+}
+
 fn linear(state: &RandomInputs) -> f64 {
     5.0 - state.normal.iter().sum::<f64>() / (state.normal.len() as f64).sqrt()
 }
@@ -65,39 +66,43 @@ fn either_side(state: &RandomInputs) -> f64 {
 
 fn noisy(state: &RandomInputs) -> f64 {
     let noise: f64 = StandardNormal.sample(&mut Stream::seed_from_u64(state.noise_seed));
-    4.9 - (0.75_f64.sqrt() * state.normal.first().copied().unwrap_or(0.0) + 0.5 * noise)
+    4.9 - (0.75_f64.sqrt() * coordinate(state, 0) + 0.5 * noise)
 }
 
 fn corner(state: &RandomInputs) -> f64 {
-    let at = |index: usize| state.normal.get(index).copied().unwrap_or(0.0);
-    (3.2 - at(0)).max(3.5 - at(1))
+    (3.2 - coordinate(state, 0)).max(3.5 - coordinate(state, 1))
 }
 
 fn frequent(state: &RandomInputs) -> f64 {
-    2.326_347_874_040_841 - state.normal.first().copied().unwrap_or(0.0)
+    2.326_347_874_040_841 - coordinate(state, 0)
 }
 
-/// Returns the mean of the estimates relative to the truth, the number of intervals that contain the truth, and the
-/// maximum number of runs.
-fn evaluate_method(
+/// Estimates with 24 seeds. Checks the ratios to the truth, their mean, the number of intervals that contain the truth,
+/// and the number of runs.
+fn assert_close(
     method: RareMethod,
     (name, problem, truth): &(&str, ClosedFormLimitState, f64),
-    seeds: u64,
-) -> (Vec<f64>, usize, u64) {
-    let found: Vec<RareEstimate> = (0..seeds).map(|seed| estimate_by(method, problem, seed)).collect();
+    (within, bias, min_held): (f64, f64, usize),
+    max_runs: u64,
+) {
+    const SEEDS: u64 = 24;
+    let found: Vec<RareEstimate> = (0..SEEDS).map(|seed| estimate_by(method, problem, seed)).collect();
     let ratios: Vec<f64> = found.iter().map(|one| one.probability.unwrap() / truth).collect();
     let held = found.iter().filter(|one| {
         let [low, high] = one.interval_95.unwrap();
         (low..=high).contains(truth)
     });
-    let (held, mean) = (held.count(), ratios.iter().sum::<f64>() / seeds as f64);
+    let (held, mean) = (held.count(), ratios.iter().sum::<f64>() / SEEDS as f64);
     let most = found.iter().map(|one| one.evaluations).max().unwrap();
     let spread = found.iter().filter_map(|one| one.coefficient_of_variation).fold(0.0, f64::max);
     println!(
-        "{name} by {method:?}: truth {truth:.3e}, mean {mean:.3}, {held} of {seeds} held, {most} runs, spread \
+        "{name} by {method:?}: truth {truth:.3e}, mean {mean:.3}, {held} of {SEEDS} held, {most} runs, spread \
          {spread:.3}, ratios {ratios:.2?}"
     );
-    (ratios, held, most)
+    assert!(ratios.iter().all(|ratio| (1.0 / within..within).contains(ratio)), "{name}: {ratios:?}");
+    assert!((mean - 1.0).abs() < bias, "{name}: {mean}");
+    assert!(held >= min_held, "{name}: {held} of {SEEDS}");
+    assert!(most < max_runs, "{name}: {most}");
 }
 
 fn known_problems() -> [(&'static str, ClosedFormLimitState, f64); 4] {
@@ -117,15 +122,9 @@ fn known_problems() -> [(&'static str, ClosedFormLimitState, f64); 4] {
 /// error below a tenth.
 #[test]
 fn known_probabilities_below_a_millionth_are_found() {
-    const SEEDS: u64 = 24;
     for problem in known_problems() {
         assert!(problem.2 < 1e-6);
-        let (ratios, held, most) = evaluate_method(RareMethod::Splitting, &problem, SEEDS);
-        let (name, mean) = (problem.0, ratios.iter().sum::<f64>() / SEEDS as f64);
-        assert!(ratios.iter().all(|ratio| (0.5..2.0).contains(ratio)), "{name}: {ratios:?}");
-        assert!((mean - 1.0).abs() < 0.1, "{name}: {mean}");
-        assert!(held >= 20, "{name}: {held} of {SEEDS}");
-        assert!(most < 600_000, "{name}: {most}");
+        assert_close(RareMethod::Splitting, &problem, (2.0, 0.1, 20), 600_000);
     }
 }
 
@@ -139,20 +138,14 @@ mod tier_2 {
     #[test]
     #[ignore = "tier 2: 168 estimates"]
     fn known_probabilities_are_found_by_weighted_draws() {
-        const SEEDS: u64 = 24;
         let more = [
             ("corner", ClosedFormLimitState { dimension: 8, margin: corner }, upper_tail(3.2) * upper_tail(3.5)),
             ("thirty numbers", ClosedFormLimitState { dimension: 30, margin: linear }, upper_tail(5.0)),
             ("frequent", ClosedFormLimitState { dimension: 5, margin: frequent }, 0.01),
         ];
         for problem in known_problems().into_iter().chain(more) {
-            let (ratios, held, most) = evaluate_method(RareMethod::Importance, &problem, SEEDS);
-            let (name, mean) = (problem.0, ratios.iter().sum::<f64>() / SEEDS as f64);
-            let (within, bias, least) = if name == "noisy" { (3.0, 0.2, 18) } else { (1.25, 0.03, 20) };
-            assert!(ratios.iter().all(|ratio| (1.0 / within..within).contains(ratio)), "{name}: {ratios:?}");
-            assert!((mean - 1.0).abs() < bias, "{name}: {mean}");
-            assert!(held >= least, "{name}: {held} of {SEEDS}");
-            assert!(most < 120_000, "{name}: {most}");
+            let tolerances = if problem.0 == "noisy" { (3.0, 0.2, 18) } else { (1.25, 0.03, 20) };
+            assert_close(RareMethod::Importance, &problem, tolerances, 120_000);
         }
     }
 
@@ -182,21 +175,13 @@ mod tier_2 {
 
 #[test]
 fn the_interval_of_weighted_draws_is_never_that_of_a_count() {
-    let problems = [
-        (
-            ClosedFormLimitState { dimension: 2, margin: |state| 0.5 - state.normal.first().copied().unwrap_or(0.0) },
-            0.5,
-        ),
-        (
-            ClosedFormLimitState { dimension: 2, margin: |state| 1.3 - state.normal.first().copied().unwrap_or(0.0) },
-            1.3,
-        ),
-        (
-            ClosedFormLimitState { dimension: 2, margin: |state| 1.8 - state.normal.first().copied().unwrap_or(0.0) },
-            1.8,
-        ),
+    let problems: [(fn(&RandomInputs) -> f64, f64); 3] = [
+        (|state| 0.5 - coordinate(state, 0), 0.5),
+        (|state| 1.3 - coordinate(state, 0), 1.3),
+        (|state| 1.8 - coordinate(state, 0), 1.8),
     ];
-    for (problem, at) in problems {
+    for (margin, at) in problems {
+        let problem = ClosedFormLimitState { dimension: 2, margin };
         let [weighed, split] = [RareMethod::Importance, RareMethod::Splitting].map(|by| estimate_by(by, &problem, 1));
         let spread = weighed.coefficient_of_variation.unwrap();
         let of_spread =
@@ -212,7 +197,7 @@ fn the_interval_of_weighted_draws_is_never_that_of_a_count() {
 /// Weights of a nearly certain failure may have a mean above 1; the probability is limited.
 #[test]
 fn no_probability_is_above_one() {
-    let nearly_always = |state: &RandomInputs| -3.0 - state.normal.first().copied().unwrap_or(0.0);
+    let nearly_always = |state: &RandomInputs| -3.0 - coordinate(state, 0);
     let mut above = 0;
     for seed in 0..12 {
         let found =
@@ -256,7 +241,7 @@ fn levels_multiply_to_the_estimate_and_end_at_the_failure() {
 fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
     // A wide valley ends above 0; the narrow way to the failures has larger margins at first.
     let astray = |state: &RandomInputs| {
-        let at = |index: usize| state.normal.get(index).copied().unwrap_or(0.0);
+        let at = |index: usize| coordinate(state, index);
         let (valley, way) = (0.5 + (2.0 - at(0)).max(0.0), 3.1 - at(1));
         valley.min(if way < 0.0 { way } else { way + 1.0 })
     };
@@ -305,26 +290,11 @@ fn without_a_failure_there_is_no_probability() {
 #[test]
 fn splitting_agrees_with_counting_on_the_road() {
     const COUNTED: u64 = 6000;
-    let controller = NamedController::from(ControllerSpec::from_name("match-leader").unwrap());
-    let space = built_in_space("paper").unwrap();
     let estimator = EstimatorKind::Kalman;
-    let count =
-        RatePlan::new(RateConfig { seed: 1, estimator, ..RateConfig::new(controller.clone(), space.clone(), COUNTED) })
-            .unwrap();
-    let mut tally = count.empty_tally();
-    while tally.runs < COUNTED {
-        count.count_batch(&mut tally).unwrap();
-    }
-    let counted = tally.failures as f64 / COUNTED as f64;
-    let plan = RarePlan {
-        controller,
-        space,
-        estimator,
-        specification: Specification::NoContact,
-        method: RareMethod::Splitting,
-        seed: 5,
-        effort: SplittingConfig { samples: 200, repetitions: 10 },
-    };
+    let effort = SplittingConfig { samples: 200, repetitions: 10 };
+    let plan = RarePlan { estimator, effort, ..rare_plan(RareMethod::Splitting, 5, 10) };
+    let count = RateConfig { seed: 1, ..RateConfig::new(plan.controller.clone(), plan.space.clone(), COUNTED) };
+    let counted = count_all(&RatePlan::new(count).unwrap()).failures as f64 / COUNTED as f64;
     let root = tempfile::tempdir().unwrap();
     let mut folder = plan.open_folder(root.path(), false).unwrap();
     let pilot = folder.run_pilot(&plan, &Quiet).unwrap();

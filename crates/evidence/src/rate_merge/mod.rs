@@ -98,8 +98,8 @@ impl MergedCount {
         let failures = sum(|tally| tally.failures);
         let worst = failures.saturating_add(open);
         PartialCount {
-            registration_sha256: self.record().registration().digest(),
-            registered_runs: self.record().registration().runs,
+            registration_sha256: self.record().registration.digest(),
+            registered_runs: self.record().registration.runs,
             runs: sum(|tally| tally.runs),
             failures,
             only_first_failed: sum(|tally| tally.only_first_failed),
@@ -140,7 +140,7 @@ impl MergedCount {
         let unusable = |problem: String| self.parts().damaged_error(SHARD_FILE, problem);
         let space = file::from_toml(&self.record().space_text, Path::new("space_text"));
         let space = space.map_err(|error| unusable(error.to_string()))?;
-        let seed = self.record().registration().configuration.get("seed").and_then(|seed| seed.parse().ok());
+        let seed = self.record().registration.configuration.get("seed").and_then(|seed| seed.parse().ok());
         let seed = seed.ok_or_else(|| unusable("configuration.seed: must be a number".to_owned()))?;
         let mut kept =
             MergedResamples::new(self.parts().contents().flat_map(|part| &part.resample_failures).copied().collect());

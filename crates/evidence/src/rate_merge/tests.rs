@@ -5,14 +5,12 @@ use rand::seq::SliceRandom;
 use rand::{Rng, RngExt};
 
 use super::*;
-use crate::{COUNT_SHARD_KIND, RateConfig, RatePlan};
+use crate::fixtures::{rate_plan, read_completed};
+use crate::{COUNT_SHARD_KIND, RatePlan};
 use crumple_core::observer::Quiet;
-use crumple_store::run_folder::{CompletedRun, RunState, read_state};
+use crumple_store::run_folder::{RunState, read_state};
 use crumple_store::shard::ShardId;
-use crumple_world::control::ControllerSpec;
-use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{Purpose, stream};
-use crumple_world::scenario::space::built_in_space;
 
 const FILES: [&str; 4] = ["registration.json", "progress.json", "certificate.json", "work.json"];
 
@@ -21,24 +19,7 @@ fn plan(seed: u64) -> RatePlan {
 }
 
 fn plan_with(controller: &str, against: Option<&str>, seed: u64) -> RatePlan {
-    let named = |name: &str| ControllerSpec::from_name(name).unwrap().into();
-    RatePlan::new(RateConfig {
-        controller: named(controller),
-        second_controller: against.map(named),
-        space: built_in_space("high-risk").unwrap(),
-        seed,
-        estimator: EstimatorKind::Truth,
-        runs: 2350,
-        confidence: 0.9,
-    })
-    .unwrap()
-}
-
-fn read_completed(folder: &Path) -> CompletedRun {
-    match read_state(folder).unwrap() {
-        RunState::Complete(finished) => finished,
-        other => panic!("{other:?}"),
-    }
+    rate_plan(controller, against, ("high-risk", 2350), (seed, 0.9))
 }
 
 fn add_shard(merged: &mut Option<MergedCount>, folder: &Path) -> Result<(), MergeError> {
@@ -217,7 +198,7 @@ fn foreign_changed_or_contradictory_shards_are_refused() {
         work.finish().unwrap();
     };
     let begun = mine.register_shard_in(shard(2, 3), forged.path(), false).unwrap();
-    forge(begun.run_folder());
+    forge(&begun.run_folder);
     drop(begun);
     let error = add_shard(&mut merged, forged.path()).unwrap_err();
     assert!(matches!(error, MergeError::Contradicting { .. }), "{error}");

@@ -11,15 +11,36 @@ use crumple_search::falsify::Method;
 use maud::{Markup, html};
 
 use super::CampaignView;
-use super::grid::{FailureGrid, GridAxis, GridCell};
+use super::grid::{FailureGrid, GridCell};
 
-const WIDTHS: [f64; 2] = [720.0, 380.0];
 const HEIGHT: f64 = 240.0;
 const CELL_HEIGHT: f64 = 30.0;
 
 fn width(narrow: bool) -> f64 {
-    let [wide, small] = WIDTHS;
-    if narrow { small } else { wide }
+    if narrow { 380.0 } else { 720.0 }
+}
+
+/// Returns the frame of a figure that has one panel.
+fn panel_frame(narrow: bool) -> PixelRect {
+    let (left, width) = (LEFT_MARGIN + 12.0, width(narrow) - LEFT_MARGIN - 24.0);
+    PixelRect { left, top: HEADING_HEIGHT, width, height: HEIGHT }
+}
+
+/// Draws a panel with a legend below it.
+fn figure_with_legend(
+    id: &str,
+    panel: Panel,
+    entries: &[LegendEntry<'_>],
+    (title, description): (&str, &str),
+    narrow: bool,
+) -> Svg {
+    let (key, key_height) = draw_legend(entries, width(narrow) - 12.0);
+    let top = panel_frame(narrow).bottom() + BOTTOM_MARGIN + 6.0;
+    let content = html! {
+        (panel.draw(&Svg::id(id, "frame")))
+        g transform={ "translate(12 " (top) ")" } { (key) }
+    };
+    Svg::new(id, (width(narrow), top + key_height), title, description, content)
 }
 
 /// Draws the smallest robustness so far over the evaluations of each method.
@@ -39,14 +60,8 @@ pub(super) fn best_robustness_figure(shown: &[CampaignView<'_>], narrow: bool) -
         (0..=most.log10().ceil().max(1.0) as i32).map(|power| (f64::from(power), format!("{}", 10f64.powi(power))));
     let x = Axis::with_ticks("evaluations of the method", (0.0, most.log10().max(1.0)), marks.collect());
     let y = Axis::numeric("", pad_interval(extent(all().map(|point| point.1).chain([0.0])), 0.05), 6);
-    let frame = PixelRect {
-        left: LEFT_MARGIN + 12.0,
-        top: HEADING_HEIGHT,
-        width: width(narrow) - LEFT_MARGIN - 24.0,
-        height: HEIGHT,
-    };
     let title = "Best robustness (below 0 a failure)";
-    let mut panel = Panel::new(frame, title, x, y);
+    let mut panel = Panel::new(panel_frame(narrow), title, x, y);
     panel.add_horizontal_line(0.0, Stroke::solid(Ink::Alert, 1.0));
     let mut entries = Vec::new();
     for (index, (name, line)) in lines.iter().enumerate() {
@@ -54,15 +69,9 @@ pub(super) fn best_robustness_figure(shown: &[CampaignView<'_>], narrow: bool) -
         panel.add_line(&line, Stroke::series(index));
         entries.push(LegendEntry::Line(Stroke::series(index), name));
     }
-    let (key, key_height) = draw_legend(&entries, width(narrow) - 12.0);
-    let top = frame.bottom() + BOTTOM_MARGIN + 6.0;
-    let content = html! {
-        (panel.draw(&Svg::id("best", "frame")))
-        g transform={ "translate(12 " (top) ")" } { (key) }
-    };
     let description =
         "Smallest robustness that each method had found, against its number of evaluations (logarithmic scale).";
-    Svg::new("best", (width(narrow), top + key_height), title, description, content).inline()
+    figure_with_legend("best", panel, &entries, (title, description), narrow).inline()
 }
 
 /// Returns the points at which the smallest robustness of a method decreases, and its last point.
@@ -95,14 +104,8 @@ pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> M
     }
     let x = Axis::numeric("ln likelihood", pad_interval(extent(points().map(|point| point.ln_likelihood)), 0.06), 8);
     let y = Axis::numeric("", pad_interval(extent(points().map(|point| point.robustness).chain([0.0])), 0.06), 6);
-    let frame = PixelRect {
-        left: LEFT_MARGIN + 12.0,
-        top: HEADING_HEIGHT,
-        width: width(narrow) - LEFT_MARGIN - 24.0,
-        height: HEIGHT,
-    };
     let title = "Pareto front of the failures in severity and likelihood";
-    let mut panel = Panel::new(frame, if narrow { "Pareto front: robustness" } else { title }, x, y);
+    let mut panel = Panel::new(panel_frame(narrow), if narrow { "Pareto front: robustness" } else { title }, x, y);
     let markers = [Marker::Disc, Marker::Square];
     for (series, (one, front)) in fronts.iter().enumerate() {
         let place: HashMap<(&str, u64), usize> = one
@@ -115,11 +118,8 @@ pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> M
         let line: Vec<(f64, f64)> = front.iter().map(|point| (point.ln_likelihood, point.robustness)).collect();
         panel.add_line(&line, Stroke { width: 0.8, ..Stroke::series(series) });
         for point in front.iter().filter(|point| point.ln_likelihood.is_finite() && point.robustness.is_finite()) {
-            let drawn = draw_marker(
-                panel.to_pixels((point.ln_likelihood, point.robustness)),
-                markers[series % 2],
-                Ink::Series(series),
-            );
+            let centre = panel.to_pixels((point.ln_likelihood, point.robustness));
+            let drawn = draw_marker(centre, markers[series % 2], Ink::Series(series));
             let text = format!(
                 "{}: robustness {}, ln likelihood {}",
                 point.kind,
@@ -137,18 +137,9 @@ pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> M
             });
         }
     }
-    let names: Vec<String> = shown.iter().map(|one| one.name.to_owned()).collect();
-    let entries: Vec<LegendEntry<'_>> =
-        names.iter().zip(markers).map(|(name, marker)| LegendEntry::Mark(marker, name)).collect();
-    let (key, key_height) = draw_legend(&entries, width(narrow) - 12.0);
-    let top = frame.bottom() + BOTTOM_MARGIN + 6.0;
-    let content = html! {
-        (panel.draw(&Svg::id("front", "frame")))
-        g transform={ "translate(12 " (top) ")" } { (key) }
-    };
-    Svg::new("front", (width(narrow), top + key_height), title, "Each point links to its scenario.", content)
-        .with_links()
-        .inline()
+    let entries: Vec<_> = shown.iter().zip(markers).map(|(one, marker)| LegendEntry::Mark(marker, one.name)).collect();
+    let description = "Each point links to its scenario.";
+    figure_with_legend("front", panel, &entries, (title, description), narrow).with_links().inline()
 }
 
 /// Draws the number of evaluations and failures in each cell.
@@ -219,16 +210,6 @@ pub(super) fn failure_grid_figure(shown: &CampaignView<'_>, map: &FailureGrid, n
     evaluation. Each cell links to its worst scenario.";
     let size = ((frame.right() + 14.0).max(width(narrow).min(320.0)), frame.bottom() + 40.0);
     html! { div.map { (Svg::new(&prefix, size, &title, description, content).with_links()) } }
-}
-
-impl GridAxis {
-    fn title(&self) -> String {
-        if self.unit == "1" || self.unit.is_empty() {
-            self.name.clone()
-        } else {
-            format!("{} ({})", self.name, self.unit)
-        }
-    }
 }
 
 fn px(length: f64) -> String {

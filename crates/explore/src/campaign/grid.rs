@@ -18,6 +18,7 @@ pub(crate) struct FailureGrid {
 #[derive(Debug)]
 pub(crate) struct GridAxis {
     pub(crate) name: String,
+    /// Unit; empty for a pure number.
     pub(crate) unit: &'static str,
     /// Formatted bounds of each cell; one name for a parameter with named values.
     pub(crate) cell_bounds: Vec<(String, String)>,
@@ -81,12 +82,17 @@ impl GridAxis {
             true => (value((index as f64 + 0.5) / count as f64), String::new()),
             false => (value(index as f64 / count as f64), value((index + 1) as f64 / count as f64)),
         };
-        Self { name: name.to_owned(), unit: parameter.unit(), cell_bounds: (0..count).map(cell).collect(), is_named }
+        let unit = if parameter.unit() == "1" { "" } else { parameter.unit() };
+        Self { name: name.to_owned(), unit, cell_bounds: (0..count).map(cell).collect(), is_named }
+    }
+
+    pub(crate) fn title(&self) -> String {
+        if self.unit.is_empty() { self.name.clone() } else { format!("{} ({})", self.name, self.unit) }
     }
 
     pub(crate) fn cell_label(&self, cell: usize) -> String {
         let Some((from, to)) = self.cell_bounds.get(cell) else { return String::new() };
-        let unit = if self.unit == "1" || self.unit.is_empty() { String::new() } else { format!(" {}", self.unit) };
+        let unit = if self.unit.is_empty() { String::new() } else { format!(" {}", self.unit) };
         match self.is_named {
             true => format!("{} {from}", self.name),
             false => format!("{} {from} to {to}{unit}", self.name),

@@ -14,6 +14,7 @@ use crumple_search::falsify::counterexample::{AvoidabilityClass, ChangedParamete
 use maud::{Markup, html};
 use serde::{Deserialize, Serialize};
 
+use crate::catalog;
 use crate::error::RequestError;
 use grid::FailureGrid;
 
@@ -32,16 +33,13 @@ pub(crate) struct CatalogCampaign {
 #[serde(deny_unknown_fields)]
 pub(crate) struct CampaignRequest {
     campaign: usize,
-    #[serde(default)]
     against: Option<usize>,
     /// Names of the parameters of the failure grid.
-    #[serde(default, rename = "across")]
+    #[serde(rename = "across")]
     x_parameter: Option<String>,
-    #[serde(default, rename = "up")]
+    #[serde(rename = "up")]
     y_parameter: Option<String>,
-    #[serde(default)]
     method: Option<String>,
-    #[serde(default)]
     kind: Option<String>,
     #[serde(default)]
     narrow: bool,
@@ -76,8 +74,8 @@ pub(crate) struct CampaignView<'a> {
 }
 
 impl CatalogCampaign {
-    pub(crate) fn new(name: String, look: CampaignReader) -> Self {
-        Self { name, reader: Mutex::new(look) }
+    pub(crate) fn new(name: String, reader: CampaignReader) -> Self {
+        Self { name, reader: Mutex::new(reader) }
     }
 
     /// Locks the reader. A panic in it leaves it usable.
@@ -105,13 +103,10 @@ pub(crate) fn show_campaigns(
     request: &CampaignRequest,
     offered: &[CatalogCampaign],
 ) -> Result<CampaignResponse, RequestError> {
-    let of = |field: &str, index: usize| {
-        offered.get(index).ok_or_else(|| RequestError::invalid(field, format!("there are {} campaigns", offered.len())))
-    };
-    let one = of("campaign", request.campaign)?;
+    let one = catalog::find(offered, request.campaign, "campaign", "campaigns")?;
     // A comparison with itself would deadlock.
     let against = request.against.filter(|index| *index != request.campaign);
-    let other = against.map(|index| of("against", index)).transpose()?;
+    let other = against.map(|index| catalog::find(offered, index, "against", "campaigns")).transpose()?;
     let mut loading = one.poll()?;
     if let Some(other) = other {
         loading |= other.poll()?;
@@ -267,15 +262,15 @@ fn failures_table(shown: &[CampaignView<'_>], chosen: &EvaluationFilter<'_>) -> 
         let mut failing: Vec<_> = rows
             .filter(|(_, (method, evaluated))| chosen.classify(one.reader, method, evaluated) == Some(true))
             .collect();
-        match one.reader.summary() {
-            None => failing.reverse(),
-            Some(_) => {
-                failing.sort_by(|(_, (_, a)), (_, (_, b))| a.verdict.robustness.total_cmp(&b.verdict.robustness))
-            }
-        }
+        let order = if one.reader.summary().is_some() {
+            failing.sort_by(|(_, (_, a)), (_, (_, b))| a.verdict.robustness.total_cmp(&b.verdict.robustness));
+            "severest"
+        } else {
+            failing.reverse();
+            "latest"
+        };
         let all = failing.len();
         failing.truncate(MAX_LISTED);
-        let order = if one.reader.summary().is_some() { "severest" } else { "latest" };
         html! { @if all > 0 { div.scroll tabindex="0" { table {
             caption {
                 (TerminalText(one.name)) ": " (all) " failing evaluations"

@@ -116,10 +116,8 @@ fn texts_that_are_not_well_formed_are_refused_with_their_line() {
     ];
     for (text, message) in cases {
         let error = ModelDescription::from_xml(&text).expect_err(message).to_string();
-        assert!(
-            error.starts_with("modelDescription.xml, ") && error.contains(message),
-            "{error}\n  should say\n{message}"
-        );
+        assert!(error.starts_with("modelDescription.xml, "), "{error}");
+        assert!(error.contains(message), "{error}\n  should say\n{message}");
     }
     let escaped = whole.replace("name=\"x\"", "name=\"&lt;&#120;&gt;\"");
     assert_eq!(ModelDescription::from_xml(&escaped).unwrap().variables[0].name, "<x>");
@@ -139,6 +137,7 @@ fn descriptions_are_read_in_linear_time() {
         text
     };
     let whole = |extra: &str| fmi2_description(extra, &input(""));
+    let units = many(&|i| format!("<Unit name=\"{i}\"><BaseUnit/></Unit>"));
     let nested = "<Unit>".repeat(BYTES / 13) + &"</Unit>".repeat(BYTES / 13);
     let texts = [
         ("attributes", whole(&format!("<a {}/>", many(&|i| format!(" a{i}=\"1\"")))), true),
@@ -154,14 +153,7 @@ fn descriptions_are_read_in_linear_time() {
         ("an open comment", whole(&"<!--".repeat(BYTES / 4)), false),
         ("open tags", whole(&"<a ".repeat(BYTES / 3)), false),
         ("lines", whole(&"\n".repeat(BYTES)), true),
-        (
-            "units",
-            whole(&format!(
-                "<UnitDefinitions>{}</UnitDefinitions>",
-                many(&|i| format!("<Unit name=\"{i}\"><BaseUnit/></Unit>"))
-            )),
-            true,
-        ),
+        ("units", whole(&format!("<UnitDefinitions>{units}</UnitDefinitions>")), true),
         ("variables", fmi2_description("", &many(&|i| input("").replace("\"x\"", &format!("\"x{i}\"")))), true),
     ];
     for (what, text, is_read) in texts {

@@ -4,12 +4,13 @@
 
 use std::ffi::{CStr, CString, c_char, c_int, c_uint, c_void};
 use std::io::Write as _;
+use std::path::Path;
 use std::ptr;
 
 use libloading::{Library, Symbol};
 
-use super::instance::{FmiFunctions, InstanceParams, VariableRef, check_status, load_error_message, resources_folder};
-use crate::VariableType;
+use super::instance::{FmiFunctions, VariableRef, check_status, load_error_message};
+use crate::{ModelDescription, VariableType};
 
 type Fmi2Component = *mut c_void;
 type Fmi2Status = c_int;
@@ -74,11 +75,11 @@ pub(super) struct Fmi2 {
 }
 
 impl Fmi2 {
-    pub(super) fn load(made: &InstanceParams<'_>) -> Result<Self, String> {
+    pub(super) fn load(library: &Path, folder: &Path, description: &ModelDescription) -> Result<Self, String> {
         let text = |text: &str| CString::new(text).map_err(|_| format!("{text:?} contains a NUL character"));
-        let location = format!("file://{}", percent_encode(&resources_folder(made.folder).to_string_lossy()));
+        let location = format!("file://{}", percent_encode(&folder.join("resources").to_string_lossy()));
         // SAFETY: loading runs the library's initializers, which is what this process is for.
-        let library = unsafe { Library::new(made.library) }.map_err(|error| load_error_message(&error, made.folder))?;
+        let library = unsafe { Library::new(library) }.map_err(|error| load_error_message(&error, folder))?;
         Ok(Self {
             instantiate: load_symbol(&library, c"fmi2Instantiate")?,
             free: load_symbol(&library, c"fmi2FreeInstance")?,
@@ -92,7 +93,7 @@ impl Fmi2 {
             set_integer: load_symbol(&library, c"fmi2SetInteger")?,
             set_boolean: load_symbol(&library, c"fmi2SetBoolean")?,
             get_real: load_symbol(&library, c"fmi2GetReal")?,
-            token: text(&made.description.instantiation_token)?,
+            token: text(&description.instantiation_token)?,
             resources: text(&location)?,
             callbacks: Box::new(Fmi2Callbacks {
                 logger: log,
@@ -114,11 +115,8 @@ impl FmiFunctions for Fmi2 {
         // SAFETY: the texts end in NUL; they and the callbacks live as long as the instance, and do not move.
         self.component =
             unsafe { (self.instantiate)(c"crumple".as_ptr(), CO_SIMULATION, token, resources, callbacks, 0, 0) };
-        if self.component.is_null() {
-            Err("the FMU cannot be instantiated (fmi2Instantiate)".to_owned())
-        } else {
-            Ok(())
-        }
+        let problem = || "the FMU cannot be instantiated (fmi2Instantiate)".to_owned();
+        if self.component.is_null() { Err(problem()) } else { Ok(()) }
     }
 
     fn reset(&mut self) -> Result<(), String> {

@@ -3,13 +3,14 @@
 #![allow(unsafe_code)]
 
 use std::ffi::{CString, c_char, c_int, c_uint, c_void};
+use std::path::Path;
 use std::ptr;
 
 use libloading::Library;
 
 use super::fmi2::{load_symbol, log_message};
-use super::instance::{FmiFunctions, InstanceParams, VariableRef, check_status, load_error_message, resources_folder};
-use crate::VariableType;
+use super::instance::{FmiFunctions, VariableRef, check_status, load_error_message};
+use crate::{ModelDescription, VariableType};
 
 type Fmi3Instance = *mut c_void;
 type Fmi3Status = c_int;
@@ -63,12 +64,12 @@ pub(super) struct Fmi3 {
 }
 
 impl Fmi3 {
-    pub(super) fn load(made: &InstanceParams<'_>) -> Result<Self, String> {
+    pub(super) fn load(library: &Path, folder: &Path, description: &ModelDescription) -> Result<Self, String> {
         let text = |text: &str| CString::new(text).map_err(|_| format!("{text:?} contains a NUL character"));
         // The standard requires a separator at the end.
-        let location = resources_folder(made.folder).join("").to_string_lossy().into_owned();
+        let location = folder.join("resources").join("").to_string_lossy().into_owned();
         // SAFETY: loading runs the library's initializers, which is what this process is for.
-        let library = unsafe { Library::new(made.library) }.map_err(|error| load_error_message(&error, made.folder))?;
+        let library = unsafe { Library::new(library) }.map_err(|error| load_error_message(&error, folder))?;
         Ok(Self {
             instantiate: load_symbol(&library, c"fmi3InstantiateCoSimulation")?,
             free: load_symbol(&library, c"fmi3FreeInstance")?,
@@ -81,7 +82,7 @@ impl Fmi3 {
             set_int32: load_symbol(&library, c"fmi3SetInt32")?,
             set_boolean: load_symbol(&library, c"fmi3SetBoolean")?,
             get_float64: load_symbol(&library, c"fmi3GetFloat64")?,
-            token: text(&made.description.instantiation_token)?,
+            token: text(&description.instantiation_token)?,
             resources: text(&location)?,
             instance: ptr::null_mut(),
             _library: library,

@@ -1,11 +1,11 @@
 //! Running FMU.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use super::fmi2::Fmi2;
 use super::fmi3::Fmi3;
 use super::unpacked_folder::UnpackedFolder;
-use crate::{Causality, FmiVersion, Fmu, ModelDescription, Variable, VariableType};
+use crate::{Causality, FmiVersion, Fmu, ModelDescription, VariableType};
 
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct VariableMap {
@@ -52,12 +52,6 @@ pub(super) trait FmiFunctions {
     fn free(&mut self);
 }
 
-pub(super) struct InstanceParams<'a> {
-    pub(super) library: &'a Path,
-    pub(super) folder: &'a Path,
-    pub(super) description: &'a ModelDescription,
-}
-
 #[derive(Clone, Copy, PartialEq, Eq)]
 enum InstanceState {
     None,
@@ -87,32 +81,28 @@ impl Instance {
         let output = wire(&wiring.output, Causality::Output)?;
         let parameters = wiring.parameters.iter().map(|(name, value)| {
             let wire = wire(name, Causality::Parameter)?;
-            if wire.kind.accepts(*value) {
-                Ok((wire, *value))
-            } else {
-                Err(invalid_value_message(name, wire.kind, *value))
+            match wire.kind.accepts(*value) {
+                true => Ok((wire, *value)),
+                false => Err(format!("{name}: {value} is no value of a variable that is {}", wire.kind.name())),
             }
         });
         let parameters = parameters.collect::<Result<_, _>>()?;
         let folder = UnpackedFolder::new().map_err(|error| format!("cannot be unpacked: temporary folder: {error}"))?;
         let library = fmu.unpack(folder.path()).map_err(|error| error.to_string())?;
-        let made = InstanceParams { library: &library, folder: folder.path(), description: fmu.description() };
-        let calls: Box<dyn FmiFunctions> = match fmu.description().version {
-            FmiVersion::Two => Box::new(Fmi2::load(&made)?),
-            FmiVersion::Three => Box::new(Fmi3::load(&made)?),
+        let functions: Box<dyn FmiFunctions> = match fmu.description().version {
+            FmiVersion::Two => Box::new(Fmi2::load(&library, folder.path(), fmu.description())?),
+            FmiVersion::Three => Box::new(Fmi3::load(&library, folder.path(), fmu.description())?),
         };
         // Early removal leaves nothing behind if the process is killed. Only Windows needs the file of an open library.
         let is_needed = cfg!(windows) || fmu.has_resources() || has_sibling_libraries(&library);
-        let is_instantiated_once = fmu.description().is_once_per_process;
-        let _folder = is_needed.then_some(folder);
         Ok(Self {
-            functions: calls,
+            functions,
             inputs,
             output,
             parameters,
-            is_once_per_process: is_instantiated_once,
+            is_once_per_process: fmu.description().is_once_per_process,
             state: InstanceState::None,
-            _folder,
+            _folder: is_needed.then_some(folder),
         })
     }
 
@@ -175,13 +165,8 @@ impl Drop for Instance {
 
 fn find_variable(description: &ModelDescription, name: &str, causality: Causality) -> Result<VariableRef, String> {
     let found = description.with_causality(causality).find(|variable| variable.name == name);
-    let Variable { value_reference: reference, kind, .. } =
-        found.ok_or_else(|| format!("has no variable {name:?} of that kind ({causality:?})"))?;
-    Ok(VariableRef { value_reference: *reference, kind: *kind })
-}
-
-fn invalid_value_message(name: &str, kind: VariableType, value: f64) -> String {
-    format!("{name}: {value} is no value of a variable that is {}", kind.name())
+    let found = found.ok_or_else(|| format!("has no variable {name:?} of that kind ({causality:?})"))?;
+    Ok(VariableRef { value_reference: found.value_reference, kind: found.kind })
 }
 
 /// True if the folder of the library holds other files, which it may load later.
@@ -198,8 +183,4 @@ pub(super) fn load_error_message(error: &libloading::Error, folder: &Path) -> St
         "its library cannot be loaded: {reason}; install the libraries that it needs (`ldd` lists those that are \
          missing), or build the FMU for this system"
     )
-}
-
-pub(super) fn resources_folder(folder: &Path) -> PathBuf {
-    folder.join("resources")
 }

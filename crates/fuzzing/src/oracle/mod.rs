@@ -78,8 +78,8 @@ pub const LANE_ORACLES: [OracleFn; 11] = [
     step_size_changes_nothing,
 ];
 
-/// Number of the first [`ORACLES`], which examine a single run.
-pub(crate) const RUN_ORACLE_COUNT: usize = 3;
+/// Oracles that examine a single run, at little more than the cost of the run.
+pub(crate) const RUN_ORACLES: [OracleFn; 3] = [motion_is_physical, metrics_agree, impacts_are_inelastic];
 
 /// A test case, the system under test and its run.
 pub struct OracleContext<'t> {

@@ -5,7 +5,7 @@ use std::fmt;
 use serde::{Deserialize, Serialize};
 
 use super::RegressionResults;
-use super::regression_spaces::{RegressionSpaceResult, SIGNIFICANCE};
+use super::regression_spaces::SIGNIFICANCE;
 use crumple_core::digits::format_rounded;
 use crumple_evidence::DiscordantPairs;
 
@@ -84,7 +84,6 @@ pub struct FailureChange {
 }
 
 impl FailureChange {
-    #[must_use]
     pub(crate) fn between<T: PartialEq>(before: &[T], after: &[T]) -> Self {
         Self {
             before: before.len(),
@@ -120,9 +119,16 @@ pub fn decide_acceptance(before: &RegressionResults, after: &RegressionResults) 
     if !draws.is_empty() {
         objections.push(RejectionReason::Nominal { draws });
     }
-    for of in &after.regression {
-        if let Some(was) = before.regression.iter().find(|was| was.space == of.space) {
-            objections.extend(space_rejections(was, of));
+    for after in &after.regression {
+        let Some(before) = before.regression.iter().find(|before| before.space == after.space) else { continue };
+        let contacts = discordant_pairs(&before.contacts, &after.contacts);
+        if contacts.is_worse(SIGNIFICANCE) {
+            objections.push(RejectionReason::MoreCollisions { space: after.space.clone(), contacts });
+        }
+        let usefulness = before.not_useful.as_ref().zip(after.not_useful.as_ref());
+        let drives = usefulness.map(|(before, after)| discordant_pairs(before, after));
+        if let Some(drives) = drives.filter(|drives| drives.is_worse(SIGNIFICANCE)) {
+            objections.push(RejectionReason::LessUseful { space: after.space.clone(), drives });
         }
     }
     let (before, after) = (before.validation_set.len(), after.validation_set.len());
@@ -130,20 +136,6 @@ pub fn decide_acceptance(before: &RegressionResults, after: &RegressionResults) 
         objections.push(RejectionReason::ValidationSet { before, after });
     }
     if objections.is_empty() { Acceptance::Accepted } else { Acceptance::Rejected { objections } }
-}
-
-fn space_rejections(
-    before: &RegressionSpaceResult,
-    after: &RegressionSpaceResult,
-) -> impl Iterator<Item = RejectionReason> {
-    let contacts = discordant_pairs(&before.contacts, &after.contacts);
-    let drives = before.not_useful.as_ref().zip(after.not_useful.as_ref()).map(|(was, is)| discordant_pairs(was, is));
-    let is_worse = |of: &DiscordantPairs| of.is_worse(SIGNIFICANCE);
-    let space = || after.space.clone();
-    let worse =
-        Some(contacts).filter(is_worse).map(|contacts| RejectionReason::MoreCollisions { space: space(), contacts });
-    let less = drives.filter(is_worse).map(|drives| RejectionReason::LessUseful { space: space(), drives });
-    worse.into_iter().chain(less)
 }
 
 pub(super) fn discordant_pairs(before: &[u64], after: &[u64]) -> DiscordantPairs {
@@ -183,21 +175,16 @@ impl fmt::Display for RejectionReason {
             Self::ValidationSet { before, after } => {
                 write!(out, "{after} collisions in the validation set instead of {before}")
             }
-            Self::MoreCollisions { space, contacts: of } => {
-                let DiscordantPairs { only_second_fails: new, only_first_fails: fixed } = of;
-                write!(
-                    out,
-                    "{new} new collisions and {fixed} fixed in {space} (p = {})",
-                    format_rounded(of.p_value(), 2)
-                )
+            Self::MoreCollisions {
+                space,
+                contacts: pairs @ DiscordantPairs { only_second_fails, only_first_fails },
+            } => {
+                let p = format_rounded(pairs.p_value(), 2);
+                write!(out, "{only_second_fails} new collisions and {only_first_fails} fixed in {space} (p = {p})")
             }
-            Self::LessUseful { space, drives: of } => {
-                let DiscordantPairs { only_second_fails: new, only_first_fails: fixed } = of;
-                write!(
-                    out,
-                    "{new} drives no longer useful and {fixed} newly useful in {space} (p = {})",
-                    format_rounded(of.p_value(), 2)
-                )
+            Self::LessUseful { space, drives: pairs @ DiscordantPairs { only_second_fails, only_first_fails } } => {
+                let (new, fixed, p) = (only_second_fails, only_first_fails, format_rounded(pairs.p_value(), 2));
+                write!(out, "{new} drives no longer useful and {fixed} newly useful in {space} (p = {p})")
             }
             Self::Unchanged => out.write_str("no checkpoint was better than the policy before the round"),
             Self::Diverged { problem } => write!(out, "the training diverged: {problem}"),
@@ -210,6 +197,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
+    use crate::retrain::RegressionSpaceResult;
 
     fn results(paper: &[&str], nominal: &[u64], kept_aside: &[u64]) -> RegressionResults {
         RegressionResults {
@@ -220,27 +208,25 @@ mod tests {
         }
     }
 
+    fn objections(before: &RegressionResults, after: &RegressionResults) -> Vec<RejectionReason> {
+        match decide_acceptance(before, after) {
+            Acceptance::Accepted => Vec::new(),
+            Acceptance::Rejected { objections } => objections,
+        }
+    }
+
     #[test]
     fn each_objection_alone_rejects_and_old_failures_do_not() {
         let before = results(&["paper-3 (truth)"], &[4], &[1, 2, 3]);
         assert_eq!(decide_acceptance(&before, &before), Acceptance::Accepted, "no worse");
-        assert_eq!(
-            decide_acceptance(&before, &results(&[], &[], &[7, 8, 9])),
-            Acceptance::Accepted,
-            "others kept aside, but no more"
-        );
-        let objections = |after| match decide_acceptance(&before, &after) {
-            Acceptance::Accepted => Vec::new(),
-            Acceptance::Rejected { objections } => objections,
-        };
+        let objections = |after| objections(&before, &after);
+        assert_eq!(objections(results(&[], &[], &[7, 8, 9])), [], "others kept aside, but no more");
         let paper = RejectionReason::Paper { scenarios: vec!["paper-1 (kalman)".to_owned()] };
         assert_eq!(objections(results(&["paper-1 (kalman)"], &[4], &[])), [paper]);
         // A new failure is a regression even if the number of failures stays.
         assert_eq!(objections(results(&[], &[5], &[])), [RejectionReason::Nominal { draws: vec![5] }]);
-        assert_eq!(
-            objections(results(&[], &[], &[1, 2, 3, 4])),
-            [RejectionReason::ValidationSet { before: 3, after: 4 }]
-        );
+        let validation_set = RejectionReason::ValidationSet { before: 3, after: 4 };
+        assert_eq!(objections(results(&[], &[], &[1, 2, 3, 4])), [validation_set]);
         assert_eq!(objections(results(&["paper-1 (kalman)"], &[5], &[1, 2, 3, 4])).len(), 3);
     }
 
@@ -260,23 +246,17 @@ mod tests {
             }
         };
         let before = in_spaces(&[1, 2, 3], &[5]);
-        let ruled = |after: &RegressionResults| match decide_acceptance(&before, after) {
-            Acceptance::Accepted => Vec::new(),
-            Acceptance::Rejected { objections } => objections,
+        let objections = |high_risk: &[u64], of_no_use: &[u64]| {
+            let after = RegressionResults { validation_set: vec![], ..in_spaces(high_risk, of_no_use) };
+            objections(&before, &after)
         };
-        let better = |high_risk: &[u64], of_no_use: &[u64]| RegressionResults {
-            validation_set: vec![],
-            ..in_spaces(high_risk, of_no_use)
-        };
-        assert!(ruled(&better(&[4, 5, 6, 7], &[5, 6])).is_empty(), "within chance");
+        assert!(objections(&[4, 5, 6, 7], &[5, 6]).is_empty(), "within chance");
         let many: Vec<u64> = (10..30).collect();
         let contacts = DiscordantPairs { only_second_fails: 20, only_first_fails: 3 };
-        assert_eq!(
-            ruled(&better(&many, &[])),
-            [RejectionReason::MoreCollisions { space: "high-risk".to_owned(), contacts }]
-        );
+        let worse = RejectionReason::MoreCollisions { space: "high-risk".to_owned(), contacts };
+        assert_eq!(objections(&many, &[]), [worse]);
         let drives = DiscordantPairs { only_second_fails: 20, only_first_fails: 1 };
-        assert_eq!(ruled(&better(&[], &many)), [RejectionReason::LessUseful { space: "traffic".to_owned(), drives }]);
+        assert_eq!(objections(&[], &many), [RejectionReason::LessUseful { space: "traffic".to_owned(), drives }]);
     }
 
     proptest! {

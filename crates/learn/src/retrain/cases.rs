@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
 use super::corpus::CORPUS_VERSION;
-use super::files::scenarios_sha256;
+use super::files::{scenarios_sha256, space_sha256};
 use crumple_core::digest::sha256;
 use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::scenario::{Scenario, ScenarioSpec};
@@ -41,11 +41,10 @@ pub struct CollidingDraws {
 
 impl Cases {
     pub(super) fn empty(space: &ScenarioSpace) -> Result<Self, RetrainError> {
-        let spec = serde_json::to_string(space.spec()).map_err(RetrainError::encoding)?;
         Ok(Self {
             version: CORPUS_VERSION,
             space: space.name().to_owned(),
-            space_sha256: sha256(spec),
+            space_sha256: space_sha256(space)?,
             scenarios_sha256: sha256([]),
             draws: Vec::new(),
             counterexamples: Vec::new(),
@@ -70,7 +69,7 @@ impl Cases {
     ) -> Result<Self, RetrainError> {
         self.draws.push(draws);
         self.counterexamples.extend(counterexamples);
-        self.scenarios_sha256 = scenarios_sha256(self.scenarios(space)?.iter())?;
+        self.scenarios_sha256 = scenarios_sha256(&self.scenarios(space)?)?;
         Ok(self)
     }
 }

@@ -1,14 +1,11 @@
 //! Random scenarios of a space, classified by avoidability.
 
-use std::ops::Range;
-
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
-use super::files::{hash_scenario, read_json, write_json};
+use super::files::{read_json, scenarios_sha256, space_sha256, write_json};
 use super::progress::{RetrainingObserver, RetrainingProgress};
-use crumple_core::digest::{Sha256, sha256};
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass};
 use crumple_store::run_folder::{RunFolder, RunFolderError};
 use crumple_world::observation::EstimatorKind;
@@ -51,11 +48,10 @@ pub struct Corpus {
 
 impl Corpus {
     pub(super) fn empty(space: &ScenarioSpace, seed: u64) -> Result<Self, RetrainError> {
-        let spec = serde_json::to_string(space.spec()).map_err(RetrainError::encoding)?;
         Ok(Self {
             version: CORPUS_VERSION,
             space: space.name().to_owned(),
-            space_sha256: sha256(spec),
+            space_sha256: space_sha256(space)?,
             seed,
             draws: 0,
             avoidable: 0,
@@ -91,7 +87,8 @@ impl Corpus {
     ) -> Result<(), RetrainError> {
         // Scenarios beyond the last one wanted would be classified in vain.
         let range = self.draws..self.draws + (wanted - self.avoidable).min(BATCH_SIZE);
-        let classed = classify_draws(space, self.seed, range.clone(), witnesses, estimator)?;
+        let scenarios = range.clone().map(|index| space.draw(self.seed, index)).collect::<Result<Vec<_>, _>>()?;
+        let classed = classify_scenarios(&scenarios, witnesses, estimator)?;
         for (index, (class, contacts)) in range.zip(classed) {
             self.draws += 1;
             match class {
@@ -112,11 +109,7 @@ impl Corpus {
     }
 
     pub(super) fn seal(&mut self, space: &ScenarioSpace) -> Result<(), RetrainError> {
-        let mut digest = Sha256::default();
-        for index in self.indices() {
-            hash_scenario(&mut digest, &space.draw(self.seed, index)?)?;
-        }
-        self.scenarios_sha256 = digest.hexadecimal();
+        self.scenarios_sha256 = scenarios_sha256(&self.scenarios(space)?)?;
         Ok(())
     }
 
@@ -132,8 +125,8 @@ impl Corpus {
         let mut corpus = Self::empty(space, seed)?;
         if let Some(found) = read_json::<Self>(work, name)? {
             if (found.seed, &found.space_sha256) != (seed, &corpus.space_sha256) {
-                let problem = "the scenarios belong to another space or seed".to_owned();
-                return Err(RunFolderError::Damaged { path: work.path(name), problem }.into());
+                let problem = "the scenarios belong to another space or seed";
+                return Err(RunFolderError::damaged(&work.path(name), problem).into());
             }
             corpus = found;
         }
@@ -151,32 +144,26 @@ impl Corpus {
 }
 
 /// Class of a scenario, and its first collision with each witness.
-type ClassifiedDraw = (AvoidabilityClass, Vec<Option<Contact>>);
-
-fn classify_draws(
-    space: &ScenarioSpace,
-    seed: u64,
-    range: Range<u64>,
-    witnesses: &[NamedController],
-    estimator: EstimatorKind,
-) -> Result<Vec<ClassifiedDraw>, RetrainError> {
-    let scenarios = range.map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
-    let mut contacts = vec![Vec::with_capacity(witnesses.len()); scenarios.len()];
-    for witness in witnesses {
-        let found = first_contacts(&scenarios, &witness.kind, estimator)?;
-        contacts.iter_mut().zip(found).for_each(|(of, contact)| of.push(contact));
-    }
-    let survived: Vec<bool> = contacts.iter().map(|of| of.iter().any(Option::is_none)).collect();
-    let classes = classify_scenarios(&scenarios, &survived);
-    Ok(classes.into_iter().zip(contacts).collect())
-}
+type ClassifiedScenario = (AvoidabilityClass, Vec<Option<Contact>>);
 
 /// Classifies scenarios: avoidable if a witness passed, otherwise by convex programming.
-pub(super) fn classify_scenarios(scenarios: &[Scenario], survived: &[bool]) -> Vec<AvoidabilityClass> {
-    let class = |(scenario, &survived): (&Scenario, &bool)| {
-        if survived { AvoidabilityClass::Avoidable } else { Avoidability::classify_contact(scenario).class() }
+pub(super) fn classify_scenarios(
+    scenarios: &[Scenario],
+    witnesses: &[NamedController],
+    estimator: EstimatorKind,
+) -> Result<Vec<ClassifiedScenario>, RetrainError> {
+    let mut contacts = vec![Vec::with_capacity(witnesses.len()); scenarios.len()];
+    for witness in witnesses {
+        let found = first_contacts(scenarios, &witness.kind, estimator)?;
+        contacts.iter_mut().zip(found).for_each(|(of, contact)| of.push(contact));
+    }
+    let class = |(scenario, contacts): (&Scenario, Vec<Option<Contact>>)| {
+        let survived = contacts.iter().any(Option::is_none);
+        let class =
+            if survived { AvoidabilityClass::Avoidable } else { Avoidability::classify_contact(scenario).class() };
+        (class, contacts)
     };
-    scenarios.par_iter().zip(survived).map(class).collect()
+    Ok(scenarios.par_iter().zip(contacts).map(class).collect())
 }
 
 pub(super) fn first_contacts(
@@ -187,4 +174,14 @@ pub(super) fn first_contacts(
     let options = RunOptions::new(controller.clone()).with_estimator(estimator);
     let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
     Ok(simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome.contact().copied()))
+}
+
+/// Returns the indices of the scenarios that end in a collision.
+pub(super) fn colliding_indices(
+    scenarios: &[Scenario],
+    controller: &ControllerKind,
+    estimator: EstimatorKind,
+) -> Result<Vec<usize>, RunError> {
+    let contacts = first_contacts(scenarios, controller, estimator)?;
+    Ok((0..scenarios.len()).zip(contacts).filter(|(_, contact)| contact.is_some()).map(|(index, _)| index).collect())
 }

@@ -4,9 +4,10 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 
 use super::RetrainError;
-use crumple_core::digest::Sha256;
+use crumple_core::digest::{Sha256, sha256};
 use crumple_store::run_folder::{RunFolder, RunFolderError};
 use crumple_world::scenario::Scenario;
+use crumple_world::scenario::space::ScenarioSpace;
 
 pub(super) const REPORT_JSON: &str = "report.json";
 pub(super) const REPORT_MARKDOWN: &str = "report.md";
@@ -24,17 +25,17 @@ pub(super) const CHECKPOINTS: &str = "checkpoints.json";
 pub(super) const PLAN: &str = "retrain.toml";
 
 /// Returns the SHA-256 over the JSON of scenarios, one after the other.
-pub(super) fn scenarios_sha256<'a>(scenarios: impl Iterator<Item = &'a Scenario>) -> Result<String, RetrainError> {
+pub(super) fn scenarios_sha256(scenarios: &[Scenario]) -> Result<String, RetrainError> {
     let mut digest = Sha256::default();
     for scenario in scenarios {
-        hash_scenario(&mut digest, scenario)?;
+        digest.update(serde_json::to_string(scenario.spec()).map_err(RetrainError::encoding)?);
     }
     Ok(digest.hexadecimal())
 }
 
-pub(super) fn hash_scenario(digest: &mut Sha256, scenario: &Scenario) -> Result<(), RetrainError> {
-    digest.update(serde_json::to_string(scenario.spec()).map_err(RetrainError::encoding)?);
-    Ok(())
+/// Returns the SHA-256 of a space as JSON.
+pub(super) fn space_sha256(space: &ScenarioSpace) -> Result<String, RetrainError> {
+    serde_json::to_string(space.spec()).map(sha256).map_err(RetrainError::encoding)
 }
 
 pub(super) fn to_json(value: &impl Serialize) -> Result<String, RetrainError> {
@@ -47,7 +48,8 @@ pub(super) fn write_json(work: &RunFolder, name: &str, value: &impl Serialize) -
 
 pub(super) fn read_json<T: DeserializeOwned>(work: &RunFolder, name: &str) -> Result<Option<T>, RetrainError> {
     let Some(bytes) = work.read(name)? else { return Ok(None) };
-    let problem = |error: serde_json::Error| format!("differs from what a retraining writes: {error}");
-    let damaged = |error| RunFolderError::Damaged { path: work.path(name), problem: problem(error) };
-    Ok(serde_json::from_slice(&bytes).map(Some).map_err(damaged)?)
+    serde_json::from_slice(&bytes).map(Some).map_err(|error| {
+        let problem = format!("differs from what a retraining writes: {error}");
+        RunFolderError::damaged(&work.path(name), problem).into()
+    })
 }

@@ -8,13 +8,13 @@ use serde::{Deserialize, Serialize};
 use super::RetrainError;
 use super::files::{
     PLAN, POLICY, REPORT_JSON, REPORT_MARKDOWN, REPORT_SVG, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET,
+    space_sha256,
 };
 use super::report::RetrainingReport;
 use crumple_store::difference;
 use crumple_store::run_folder::{RunFolder, RunFolderError, RunFolderOptions};
 
-use crate::rl::{TrainingConfig, TrainingConfigError, action_bounds};
-use crumple_core::digest::sha256;
+use crate::rl::{TrainingConfig, TrainingConfigError, action_bounds, is_default};
 use crumple_search::falsify::Method;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
@@ -67,7 +67,7 @@ pub struct RetrainingSettings {
     /// Random scenarios of the paper's distribution for acceptance.
     pub nominal: u64,
     /// Random scenarios of each regression space for acceptance.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     pub regression: u64,
     /// Avoidable random scenarios of the test set.
     #[serde(rename = "judged")]
@@ -93,11 +93,6 @@ impl Default for RetrainingSettings {
             case_share: 0.2,
         }
     }
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
-fn is_zero(count: &u64) -> bool {
-    *count == 0
 }
 
 /// Text of the training preset of a retraining.
@@ -168,9 +163,7 @@ impl RetrainingPlan {
     /// # Errors
     /// [`RetrainError::Encoding`] in principle, if the writer fails.
     pub fn to_toml(&self) -> Result<String, RetrainError> {
-        let hash =
-            |space: &ScenarioSpace| serde_json::to_string(space.spec()).map(sha256).map_err(RetrainError::encoding);
-        let named = |space| Ok(SpaceHash { space: ScenarioSpace::name(space), sha256: hash(space)? });
+        let named = |space| Ok(SpaceHash { space: ScenarioSpace::name(space), sha256: space_sha256(space)? });
         let file = PlanFile {
             version: RETRAIN_VERSION,
             crumple: env!("CARGO_PKG_VERSION"),
@@ -184,14 +177,6 @@ impl RetrainingPlan {
             regression: self.regression_spaces.iter().map(named).collect::<Result<_, RetrainError>>()?,
         };
         toml::to_string(&file).map_err(RetrainError::encoding)
-    }
-
-    /// Returns the SHA-256 of that text.
-    ///
-    /// # Errors
-    /// As for [`RetrainingPlan::to_toml`].
-    pub fn digest(&self) -> Result<String, RetrainError> {
-        Ok(sha256(self.to_toml()?))
     }
 
     /// Checks that the preset and the policy agree on observation, action and decision interval.

@@ -5,9 +5,9 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
-use super::corpus::{Corpus, first_contacts};
+use super::corpus::{Corpus, colliding_indices};
 use super::plan::{NOMINAL_SEED, RetrainingPlan};
-use super::regression_spaces::{RegressionSpaceResult, RegressionSpaces};
+use super::regression_spaces::{RegressionSpace, RegressionSpaceResult};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario, built_in_scenario_names};
@@ -34,21 +34,16 @@ impl RegressionResults {
         policy: &Arc<Policy>,
         plan: &RetrainingPlan,
         kept_aside: &Corpus,
-        regression: &RegressionSpaces,
+        regression: &[RegressionSpace],
     ) -> Result<Self, RetrainError> {
         let controller = ControllerKind::Policy(Arc::clone(policy));
-        let collided = |scenarios: &[Scenario], estimator| -> Result<Vec<usize>, RetrainError> {
-            let contacts = first_contacts(scenarios, &controller, estimator)?;
-            Ok(contacts.iter().enumerate().filter(|(_, contact)| contact.is_some()).map(|(place, _)| place).collect())
-        };
+        let collided = |scenarios: &[Scenario], estimator| colliding_indices(scenarios, &controller, estimator);
         let names = built_in_scenario_names().map(|(name, _)| name);
         let scenarios: Vec<Scenario> = names.iter().filter_map(|name| built_in_scenario(name)).collect();
         let mut paper = Vec::new();
         for estimator in [EstimatorKind::Kalman, EstimatorKind::Truth] {
-            let found = collided(&scenarios, estimator)?;
-            paper.extend(
-                found.iter().filter_map(|&place| Some(format!("{} ({})", names.get(place)?, estimator.name()))),
-            );
+            let collided = collided(&scenarios, estimator)?.into_iter().filter_map(|index| names.get(index));
+            paper.extend(collided.map(|name| format!("{name} ({})", estimator.name())));
         }
         let draws = PaperDistribution { seed: NOMINAL_SEED };
         let nominal = (0..plan.settings.nominal).map(|index| draws.draw(index)).collect::<Result<Vec<_>, _>>()?;
@@ -56,6 +51,7 @@ impl RegressionResults {
         let indices: Vec<u64> = kept_aside.indices().collect();
         let aside = collided(&kept_aside.scenarios(&plan.space)?, plan.estimator())?;
         let kept_aside = aside.into_iter().filter_map(|place| indices.get(place).copied()).collect();
-        Ok(Self { paper, nominal, validation_set: kept_aside, regression: regression.evaluate(&controller)? })
+        let regression = regression.iter().map(|space| space.evaluate(&controller)).collect::<Result<_, _>>()?;
+        Ok(Self { paper, nominal, validation_set: kept_aside, regression })
     }
 }

@@ -9,6 +9,7 @@ use crumple_world::control::ControllerSpec;
 use crumple_world::measure::UsefulnessMeasures;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
+use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunOptions, simulate_batch};
 
 /// Significance level in a regression space, for collisions and for usefulness each.
@@ -31,53 +32,35 @@ pub struct RegressionSpaceResult {
     /// Indices of scenarios with a collision, with braking above 4 m/s² whose cause required less than 3 m/s², or with
     /// an ego vehicle left behind. Only in spaces in which `idm` is always useful: in an emergency such braking may be
     /// necessary.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "of_no_use")]
+    #[serde(rename = "of_no_use", default, skip_serializing_if = "Option::is_none")]
     pub not_useful: Option<Vec<u64>>,
 }
 
-/// Random scenarios of all regression spaces, and whether `idm` is always useful in each space.
-pub(super) struct RegressionSpaces {
-    estimator: EstimatorKind,
-    spaces: Vec<RegressionSpace>,
-}
-
-struct RegressionSpace {
+/// Random scenarios of a regression space.
+pub(super) struct RegressionSpace {
     name: String,
     draws: Vec<Scenario>,
+    estimator: EstimatorKind,
+    /// True if `idm` is always useful in the space.
     checks_usefulness: bool,
 }
 
-impl RegressionSpaces {
-    pub(super) fn new(plan: &RetrainingPlan) -> Result<Self, RetrainError> {
-        let mut spaces = Vec::new();
-        let idm = ControllerKind::from(ControllerSpec::Idm(Default::default()));
-        for space in &plan.regression_spaces {
-            let draws = (0..plan.settings.regression).map(|index| space.draw(REGRESSION_SEED, index));
-            let mut drawn = RegressionSpace {
-                name: space.name().to_owned(),
-                draws: draws.collect::<Result<_, _>>()?,
-                checks_usefulness: true,
-            };
-            let found = drawn.evaluate(&idm, plan.estimator())?;
-            drawn.checks_usefulness = found.not_useful.is_some_and(|of_no_use| of_no_use.is_empty());
-            spaces.push(drawn);
-        }
-        Ok(Self { estimator: plan.estimator(), spaces })
-    }
-
-    pub(super) fn evaluate(&self, controller: &ControllerKind) -> Result<Vec<RegressionSpaceResult>, RetrainError> {
-        self.spaces.iter().map(|space| space.evaluate(controller, self.estimator)).collect()
-    }
-}
-
 impl RegressionSpace {
-    fn evaluate(
-        &self,
-        controller: &ControllerKind,
-        estimator: EstimatorKind,
-    ) -> Result<RegressionSpaceResult, RetrainError> {
-        let options = RunOptions::new(controller.clone()).with_estimator(estimator);
+    pub(super) fn new(plan: &RetrainingPlan, space: &ScenarioSpace) -> Result<Self, RetrainError> {
+        let draws = (0..plan.settings.regression).map(|index| space.draw(REGRESSION_SEED, index));
+        let mut drawn = Self {
+            name: space.name().to_owned(),
+            draws: draws.collect::<Result<_, _>>()?,
+            estimator: plan.estimator(),
+            checks_usefulness: true,
+        };
+        let found = drawn.evaluate(&ControllerKind::from(ControllerSpec::Idm(Default::default())))?;
+        drawn.checks_usefulness = found.not_useful.is_some_and(|of_no_use| of_no_use.is_empty());
+        Ok(drawn)
+    }
+
+    pub(super) fn evaluate(&self, controller: &ControllerKind) -> Result<RegressionSpaceResult, RetrainError> {
+        let options = RunOptions::new(controller.clone()).with_estimator(self.estimator);
         let level = if self.checks_usefulness { RecordingLevel::Trace } else { RecordingLevel::Summary };
         let (mut contacts, mut of_no_use) = (Vec::new(), Vec::new());
         for (block, draws) in self.draws.chunks(BATCH_SIZE).enumerate() {
@@ -92,12 +75,11 @@ impl RegressionSpace {
                 of_no_use.extend(is_useless.then_some(index));
             }
         }
-        let of_no_use = self.checks_usefulness.then_some(of_no_use);
         Ok(RegressionSpaceResult {
             space: self.name.clone(),
             sample_count: self.draws.len() as u64,
             contacts,
-            not_useful: of_no_use,
+            not_useful: self.checks_usefulness.then_some(of_no_use),
         })
     }
 }
@@ -145,25 +127,18 @@ mod tests {
         while kept_aside.avoidable < 60 {
             kept_aside.classify_next(&plan.space, 60, &witnesses(&[]), plan.estimator(), |_| {}).unwrap();
         }
-        let regression = RegressionSpaces::new(&plan).unwrap();
+        let regression: Vec<_> =
+            plan.regression_spaces.iter().map(|space| RegressionSpace::new(&plan, space).unwrap()).collect();
         let of = |policy: Arc<Policy>| RegressionResults::evaluate(&policy, &plan, &kept_aside, &regression).unwrap();
         let (before, after) = (of(first), of(Policy::reference()));
-        assert!(
-            after.validation_set.len() < before.validation_set.len(),
-            "{} {}",
-            after.validation_set.len(),
-            before.validation_set.len()
-        );
+        let collisions = [&before, &after].map(|results| results.validation_set.len());
+        assert!(collisions[1] < collisions[0], "{collisions:?}");
         let without = |standing: &RegressionResults| RegressionResults { regression: Vec::new(), ..standing.clone() };
-        assert_eq!(
-            decide_acceptance(&without(&before), &without(&after)),
-            Acceptance::Accepted,
-            "seen from standing vehicles alone"
-        );
+        let standing_alone = decide_acceptance(&without(&before), &without(&after));
+        assert_eq!(standing_alone, Acceptance::Accepted);
         let Acceptance::Rejected { objections } = decide_acceptance(&before, &after) else { panic!("accepted") };
-        let is_of_high_risk = |reason: &RejectionReason| {
-            if let RejectionReason::MoreCollisions { space, .. } = reason { space == "high-risk" } else { false }
-        };
+        let is_of_high_risk =
+            |reason: &_| matches!(reason, RejectionReason::MoreCollisions { space, .. } if space == "high-risk");
         assert!(objections.iter().any(is_of_high_risk), "{objections:?}");
         let traffic = before.regression.iter().find(|of| of.space == "traffic").unwrap();
         assert!(traffic.not_useful.as_ref().unwrap().len() > 30, "it is of no use in traffic");

@@ -17,6 +17,11 @@ use crumple_core::digest::sha256;
 use crumple_core::quoting::{MarkdownCode, MarkdownText};
 use crumple_store::run_folder::RunFolder;
 
+/// Returns the present name of a preset: files keep the name `harden` of the preset `retrain`.
+fn preset_name(name: &str) -> &str {
+    if name == "harden" { "retrain" } else { name }
+}
+
 /// Reason why a retraining ended.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
@@ -108,7 +113,7 @@ impl RetrainingReport {
         Ok(Self {
             version: RETRAIN_VERSION,
             crumple: env!("CARGO_PKG_VERSION").to_owned(),
-            plan_sha256: plan.digest()?,
+            plan_sha256: sha256(plan.to_toml()?),
             first: plan.initial_policy_name.clone(),
             first_sha256: plan.initial_policy.digest(),
             retrained_sha256: hash(POLICY)?.sha256,
@@ -139,22 +144,13 @@ impl RetrainingReport {
         changes
             .write(REPORT_MARKDOWN, self.to_markdown())
             .write(REPORT_SVG, picture)
-            .write(REPORT_JSON, self.to_json()?);
+            .write(REPORT_JSON, to_json(self)?);
         Ok(changes.commit()?)
-    }
-
-    /// Returns the text of `report.json`.
-    ///
-    /// # Errors
-    /// [`RetrainError::Encoding`] in principle, if the writer fails.
-    pub(crate) fn to_json(&self) -> Result<String, RetrainError> {
-        to_json(self)
     }
 
     /// Returns a lower bound of the factor by which the collision rate decreased: the lower end of the initial policy's
     /// interval over the upper end of the retrained policy's. Each end is wrong with a probability of at most 2.5 %, so
     /// the bound has a confidence level of 95 %.
-    #[must_use]
     pub(crate) fn min_improvement_factor(&self) -> Option<f64> {
         let [first, retrained, ..] = self.tallies.as_slice() else { return None };
         Some(first.interval(self.test_draws).lower / retrained.interval(self.test_draws).upper)
@@ -170,17 +166,7 @@ impl RetrainingReport {
     }
 
     fn write_markdown(&self, out: &mut String) -> std::fmt::Result {
-        let RetrainingSettings {
-            rounds,
-            episodes,
-            budget,
-            draws,
-            validation_draws: validation_set,
-            nominal,
-            nominal_share,
-            case_share,
-            ..
-        } = self.settings;
+        let RetrainingSettings { rounds, episodes, budget, draws, validation_draws, nominal, .. } = self.settings;
         writeln!(out, "# Retraining of {} in the space {}\n", MarkdownCode(&self.first), MarkdownCode(&self.space))?;
         writeln!(
             out,
@@ -189,10 +175,10 @@ impl RetrainingReport {
              space. Each search: {budget} evaluations of `{}` and of each reference search, and {draws} random \
              scenarios. {}\n",
             if rounds == 1 { "" } else { "s" },
-            MarkdownCode(&self.preset),
+            MarkdownCode(preset_name(&self.preset)),
             self.seed,
-            100.0 * nominal_share,
-            100.0 * case_share,
+            100.0 * self.settings.nominal_share,
+            100.0 * self.settings.case_share,
             self.method,
             self.ending_sentence()
         )?;
@@ -203,7 +189,7 @@ impl RetrainingReport {
         writeln!(
             out,
             "\nA change shows the collisions of the policy before the round → of the candidate (fixed, new). *Cases* \
-             are all avoidable scenarios collected up to the round. The *validation set* has {validation_set} \
+             are all avoidable scenarios collected up to the round. The *validation set* has {validation_draws} \
              avoidable random scenarios of the space. *paper-1..3* are the paper's scenarios, each through the filter \
              and with the true state. *paper's distribution* stands for {nominal} random scenarios of it. A round is \
              accepted if there is no new failure in the last two columns, no more collisions in the validation set, \
@@ -258,20 +244,12 @@ impl RetrainingReport {
             "\nOf the first policy's collisions, {first_only} are fixed and {both} remain; {retrained_only} are new; \
              {neither} scenarios have no collision with either policy. A collision is avoidable in every scenario."
         )?;
-        match self.min_improvement_factor() {
-            Some(factor) if factor > 1.0 => {
-                writeln!(
-                    out,
-                    "Collisions are at least {factor:.2} times rarer than with the first policy, at a confidence \
-                     level of 95 %."
-                )
-            }
-            Some(_) => writeln!(
-                out,
-                "Collisions are not shown to be rarer than with the first policy, at a confidence level of 95 %."
-            ),
-            None => Ok(()),
-        }
+        let comparison = match self.min_improvement_factor() {
+            Some(factor) if factor > 1.0 => format!("at least {factor:.2} times rarer"),
+            Some(_) => "not shown to be rarer".to_owned(),
+            None => return Ok(()),
+        };
+        writeln!(out, "Collisions are {comparison} than with the first policy, at a confidence level of 95 %.")
     }
 
     /// Writes the changes of the initial policy's failures in regression spaces.
@@ -312,21 +290,15 @@ impl RetrainingReport {
              acceptance |\n|---|---|---|---|---|---|---|---|---|\n",
         );
         for round in &self.rounds {
-            let RoundFindings {
-                avoidable,
-                unavoidable,
-                undecided,
-                colliding_draws: draws_touched,
-                avoidable_draws: draws_avoidable,
-                ..
-            } = &round.findings;
+            let RoundFindings { avoidable, unavoidable, undecided, colliding_draws, avoidable_draws, .. } =
+                &round.findings;
             writeln!(
                 out,
-                "| {} | {} ({avoidable}, {unavoidable}, {undecided}) | {draws_touched} ({}) | {} ({}) | {} | {} | {} \
+                "| {} | {} ({avoidable}, {unavoidable}, {undecided}) | {colliding_draws} ({}) | {} ({}) | {} | {} | {} \
                  | {} | {} |",
                 round.round,
                 avoidable + unavoidable + undecided,
-                draws_avoidable.indices.len(),
+                avoidable_draws.indices.len(),
                 round.training.to_episode,
                 round.training.best_episode,
                 round.in_cases,

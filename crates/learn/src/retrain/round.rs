@@ -6,11 +6,11 @@ use serde::{Deserialize, Serialize};
 
 use super::acceptance::{Acceptance, FailureChange, RejectionReason, decide_acceptance};
 use super::cases::{Cases, CollidingDraws};
-use super::corpus::{Corpus, classify_scenarios, first_contacts};
-use super::files::{LEARNER, ROUND_RECORD, SELECTION_SET, read_json, write_json};
-use super::plan::{RetrainingPlan, SELECTION_SEED};
+use super::corpus::{Corpus, classify_scenarios, colliding_indices};
+use super::files::{LEARNER, ROUND_RECORD, read_json, write_json};
+use super::plan::RetrainingPlan;
 use super::progress::{RetrainingObserver, RetrainingProgress};
-use super::regression_spaces::RegressionSpaces;
+use super::regression_spaces::RegressionSpace;
 use super::test_set::witnesses;
 use super::{RegressionResults, RetrainError};
 use crate::rl::TrainingError;
@@ -18,7 +18,7 @@ use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgr
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_store::run_folder::{RunFolder, RunFolderError};
 use crumple_world::policy::Policy;
-use crumple_world::scenario::{Scenario, ScenarioSpec, file};
+use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::{ControllerKind, NamedController};
 
 /// Results of a search.
@@ -111,7 +111,7 @@ pub(super) struct RoundContext<'a> {
     pub(super) run_folder: &'a RunFolder,
     pub(super) validation_set: &'a Corpus,
     pub(super) selection_set: &'a Corpus,
-    pub(super) regression_spaces: &'a RegressionSpaces,
+    pub(super) regression_spaces: &'a [RegressionSpace],
     pub(super) policy: Arc<Policy>,
     pub(super) results: RegressionResults,
     pub(super) cases: Cases,
@@ -133,7 +133,7 @@ impl Round {
         let candidate = Policy::from_bytes(&work.read_required(&name)?)?;
         if self.candidate_sha256.as_ref() != Some(&candidate.digest()) {
             let problem = format!("differs from the policy of {ROUND_RECORD}");
-            return Err(RunFolderError::Damaged { path: work.path(&name), problem }.into());
+            return Err(RunFolderError::damaged(&work.path(&name), problem).into());
         }
         Ok(candidate)
     }
@@ -157,16 +157,13 @@ impl RoundContext<'_> {
         let (plan, round) = (self.plan, self.round_number());
         let folder = self.path(SEARCH);
         // Relative to the folder of the counterexamples, so that their recorded verdicts can be replayed.
-        let name = "../../before.safetensors".to_owned();
+        let controller = named_policy("../../before.safetensors", &self.policy);
         let campaign = Campaign {
             estimator: plan.estimator(),
             method: plan.method.clone(),
             budget: plan.settings.budget,
             seed: plan.search_seed(round),
-            ..Campaign::new(
-                NamedController { name, kind: ControllerKind::Policy(Arc::clone(&self.policy)) },
-                plan.space.clone(),
-            )
+            ..Campaign::new(controller, plan.space.clone())
         };
         let path = self.run_folder.path(&folder);
         let searching =
@@ -179,7 +176,7 @@ impl RoundContext<'_> {
             [AvoidabilityClass::Avoidable, AvoidabilityClass::Unavoidable, AvoidabilityClass::Undecided]
                 .map(|class| classed(class).count());
         let counterexamples = classed(AvoidabilityClass::Avoidable).map(|one| one.file.clone()).collect();
-        let (draws_touched, draws_avoidable) = self.find_colliding_draws(watch)?;
+        let (colliding_draws, avoidable_draws) = self.find_colliding_draws(watch)?;
         let found = RoundFindings {
             evaluations: summary.methods.iter().map(|method| method.evaluations).sum(),
             failures: summary.methods.iter().map(|method| method.failures).sum(),
@@ -187,8 +184,8 @@ impl RoundContext<'_> {
             unavoidable,
             undecided,
             draws: plan.settings.draws,
-            colliding_draws: draws_touched,
-            avoidable_draws: draws_avoidable,
+            colliding_draws,
+            avoidable_draws,
             counterexamples,
         };
         write_json(self.run_folder, &self.path(FINDINGS), &found)?;
@@ -201,16 +198,11 @@ impl RoundContext<'_> {
         let seed = plan.search_seed(round);
         watch.notify(&RetrainingProgress::SimulatingDraws { round, draws: plan.settings.draws })?;
         let all = (0..plan.settings.draws).map(|index| plan.space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
-        let contacts = first_contacts(&all, &ControllerKind::Policy(Arc::clone(&self.policy)), plan.estimator())?;
-        let collided = all.into_iter().enumerate().zip(contacts).filter(|(_, contact)| contact.is_some());
-        let (indices, collided): (Vec<usize>, Vec<Scenario>) = collided.map(|(one, _)| one).unzip();
-        let mut survived = vec![false; collided.len()];
-        for witness in witnesses(&[]) {
-            let contacts = first_contacts(&collided, &witness.kind, plan.estimator())?;
-            survived.iter_mut().zip(contacts).for_each(|(survived, contact)| *survived |= contact.is_none());
-        }
-        let classes = classify_scenarios(&collided, &survived);
-        let avoidable = indices.into_iter().zip(classes).filter(|(_, class)| *class == AvoidabilityClass::Avoidable);
+        let indices = colliding_indices(&all, &ControllerKind::Policy(Arc::clone(&self.policy)), plan.estimator())?;
+        let collided: Vec<Scenario> = indices.iter().map(|&index| all[index].clone()).collect();
+        let classed = classify_scenarios(&collided, &witnesses(&[]), plan.estimator())?;
+        let avoidable =
+            indices.into_iter().zip(classed).filter(|(_, (class, _))| *class == AvoidabilityClass::Avoidable);
         let indices = avoidable.map(|(index, _)| index as u64).collect();
         Ok((collided.len(), CollidingDraws { round, seed, indices }))
     }
@@ -218,12 +210,8 @@ impl RoundContext<'_> {
     pub(super) fn extended_cases(&self, found: &RoundFindings) -> Result<Cases, RetrainError> {
         let search = self.run_folder.path(&self.path(SEARCH));
         let read = |name: &String| file::load(&search.join(name)).map(|scenario| scenario.spec().clone());
-        let counterexamples: Vec<ScenarioSpec> = found
-            .counterexamples
-            .iter()
-            .map(read)
-            .collect::<Result<_, _>>()
-            .map_err(|error| RetrainError::Folder(error.to_string()))?;
+        let counterexamples = found.counterexamples.iter().map(read).collect::<Result<_, _>>();
+        let counterexamples = counterexamples.map_err(|error| RetrainError::Folder(error.to_string()))?;
         self.cases.clone().with_round(&self.plan.space, found.avoidable_draws.clone(), counterexamples)
     }
 
@@ -259,10 +247,8 @@ impl RoundContext<'_> {
             None if !is_new => Acceptance::Rejected { objections: vec![RejectionReason::Unchanged] },
             None => decide_acceptance(&self.results, &after),
         };
-        let collided = |policy: &Arc<Policy>| -> Result<Vec<usize>, RetrainError> {
-            let contacts =
-                first_contacts(&scenarios, &ControllerKind::Policy(Arc::clone(policy)), self.plan.estimator())?;
-            Ok((0..scenarios.len()).zip(contacts).filter(|(_, contact)| contact.is_some()).map(|(at, _)| at).collect())
+        let collided = |policy: &Arc<Policy>| {
+            colliding_indices(&scenarios, &ControllerKind::Policy(Arc::clone(policy)), self.plan.estimator())
         };
         let round = Round {
             round: self.round_number(),
@@ -289,12 +275,8 @@ impl RoundContext<'_> {
     }
 }
 
-pub(super) fn load_selection_set(
-    plan: &RetrainingPlan,
-    work: &RunFolder,
-    watch: &RetrainingObserver<'_>,
-) -> Result<Corpus, RetrainError> {
-    load_corpus(plan, work, (SELECTION_SET, SELECTION_SEED, plan.training.evaluation.ranking_draws), watch)
+pub(super) fn named_policy(name: &str, policy: &Arc<Policy>) -> NamedController {
+    NamedController { name: name.to_owned(), kind: ControllerKind::Policy(Arc::clone(policy)) }
 }
 
 /// Reads a corpus of the plan from its file, or builds it.
@@ -304,10 +286,6 @@ pub(super) fn load_corpus(
     (name, seed, wanted): (&'static str, u64, u64),
     watch: &RetrainingObserver<'_>,
 ) -> Result<Corpus, RetrainError> {
-    let first = NamedController {
-        name: plan.initial_policy_name.clone(),
-        kind: ControllerKind::Policy(Arc::clone(&plan.initial_policy)),
-    };
-    let witnesses = witnesses(&[first]);
+    let witnesses = witnesses(&[named_policy(&plan.initial_policy_name, &plan.initial_policy)]);
     Corpus::load_or_build((work, name), &plan.space, (seed, wanted), &witnesses, plan.estimator(), watch)
 }

@@ -5,20 +5,18 @@ use std::sync::Arc;
 
 use super::cases::Cases;
 use super::files::{
-    CHECKPOINTS, LEARNER, PLAN, POLICY, REPORT_JSON, ROUND_RECORD, TEST_SET, TRAINING_CASES, VALIDATION_SET, read_json,
-    write_json,
+    CHECKPOINTS, LEARNER, PLAN, POLICY, REPORT_JSON, ROUND_RECORD, SELECTION_SET, TEST_SET, TRAINING_CASES,
+    VALIDATION_SET, read_json, write_json,
 };
-use super::plan::{RetrainingPlan, VALIDATION_SET_SEED};
+use super::plan::{RetrainingPlan, SELECTION_SEED, VALIDATION_SET_SEED};
 use super::progress::RetrainingProgress;
-use super::regression_spaces::RegressionSpaces;
+use super::regression_spaces::RegressionSpace;
 use super::report::{RetrainingEnding, RetrainingReport};
-use super::round::{Round, RoundContext, RoundFindings, load_corpus, load_selection_set, round_path};
+use super::round::{Round, RoundContext, load_corpus, named_policy, round_path};
 use super::test_set::{TestSetResults, witnesses};
 use super::{RegressionResults, RetrainError};
 use crumple_core::observer::Observer;
 use crumple_store::run_folder::RunFolderError;
-use crumple_world::policy::Policy;
-use crumple_world::sim::{ControllerKind, NamedController};
 
 const RETRAINED_NAME: &str = "retrained";
 
@@ -42,15 +40,18 @@ impl RetrainingPlan {
         work.write(PLAN, self.to_toml()?)?;
         let wanted = self.settings.validation_draws;
         let kept_aside = load_corpus(self, &work, (VALIDATION_SET, VALIDATION_SET_SEED, wanted), watch)?;
-        let selection = load_selection_set(self, &work, watch)?;
+        let wanted = self.training.evaluation.ranking_draws;
+        let selection = load_corpus(self, &work, (SELECTION_SET, SELECTION_SEED, wanted), watch)?;
         let mut policy = Arc::clone(&self.initial_policy);
-        let regression = RegressionSpaces::new(self)?;
+        let spaces = self.regression_spaces.iter();
+        let regression = spaces.map(|space| RegressionSpace::new(self, space)).collect::<Result<Vec<_>, _>>()?;
         let first = RegressionResults::evaluate(&policy, self, &kept_aside, &regression)?;
         let mut standing = first.clone();
         let mut cases = Cases::empty(&self.space)?;
         let mut rounds: Vec<Round> = Vec::new();
         let ending = loop {
-            if rounds.len() as u64 == self.settings.rounds {
+            let number = rounds.len() as u64 + 1;
+            if number > self.settings.rounds {
                 break RetrainingEnding::RoundsExhausted;
             }
             let before = RoundContext {
@@ -65,11 +66,10 @@ impl RetrainingPlan {
                 previous_round: rounds.last(),
             };
             let found = before.search(watch)?;
-            if found.is_empty() {
+            if found.avoidable == 0 && found.avoidable_draws.indices.is_empty() {
                 break RetrainingEnding::NothingFound { search: Box::new(found) };
             }
             cases = before.extended_cases(&found)?;
-            let number = rounds.len() as u64 + 1;
             let round: Round = match read_json(&work, &before.path(ROUND_RECORD))? {
                 Some(round) => round,
                 None => before.finish(found, &cases, watch)?,
@@ -87,24 +87,12 @@ impl RetrainingPlan {
         let last = round_path(rounds.len() as u64, LEARNER);
         work.transaction().remove(&last).write(POLICY, policy.to_bytes()?).commit()?;
         write_json(&work, TRAINING_CASES, &cases)?;
-        let contender = |name: &str, policy: &Arc<Policy>| NamedController {
-            name: name.to_owned(),
-            kind: ControllerKind::Policy(Arc::clone(policy)),
-        };
-        let contenders = witnesses(&[
-            contender(&self.initial_policy_name, &self.initial_policy),
-            contender(RETRAINED_NAME, &policy),
-        ]);
+        let initial = named_policy(&self.initial_policy_name, &self.initial_policy);
+        let contenders = witnesses(&[initial, named_policy(RETRAINED_NAME, &policy)]);
         let evaluated = TestSetResults::load_or_evaluate((&work, TEST_SET), self, &contenders, watch)?;
         let report = RetrainingReport::new(self, &work, (first, standing), rounds, ending, evaluated)?;
         report.write_files(&work, (self.render_svg)(&report))?;
         work.finish()?;
         Ok(report)
-    }
-}
-
-impl RoundFindings {
-    fn is_empty(&self) -> bool {
-        self.avoidable == 0 && self.avoidable_draws.indices.is_empty()
     }
 }

@@ -8,8 +8,8 @@ use super::files::{CHECKPOINTS, LEARNER, read_json, to_json};
 use super::progress::{RetrainingObserver, RetrainingProgress};
 use super::round::{Checkpoint, RoundContext, RoundTraining, round_path};
 use crate::rl::{
-    CaseMixture, EvaluationSet, PaperSource, ScenarioSource, SourceMixture, Trainer, TrainingError, TrainingEvent,
-    TrainingRecorder, train_with_recorder,
+    CaseMixture, EvaluationSet, PaperSource, ScenarioSource, SourceMixture, Trainer, TrainingEvent, TrainingRecorder,
+    train_with_recorder,
 };
 use crumple_store::run_folder::RunFolderError;
 use crumple_world::policy::Policy;
@@ -36,9 +36,8 @@ impl RoundContext<'_> {
         let config = self.plan.training_until(episodes);
         let source = self.scenario_source(cases)?;
         let taken_up = |name: &str, bytes: &[u8], source| {
-            let path = self.run_folder.path(name);
-            let named = |error: TrainingError| RunFolderError::Damaged { path, problem: error.to_string() };
-            Trainer::from_checkpoint(bytes, &config, seed, source).map_err(named)
+            Trainer::from_checkpoint(bytes, &config, seed, source)
+                .map_err(|error| RunFolderError::damaged(&self.run_folder.path(name), error.to_string()))
         };
         let name = self.path(LEARNER);
         if let Some(bytes) = self.run_folder.read(&name)? {
@@ -51,7 +50,7 @@ impl RoundContext<'_> {
         let mut trainer = taken_up(&name, &self.run_folder.read_required(&name)?, self.scenario_source(&self.cases)?)?;
         if trainer.episode() != from_episode {
             let problem = format!("is from episode {}, and its round ended with {from_episode}", trainer.episode());
-            return Err(RunFolderError::Damaged { path: self.run_folder.path(&name), problem }.into());
+            return Err(RunFolderError::damaged(&self.run_folder.path(&name), problem).into());
         }
         trainer.switch_source(source, episodes);
         Ok((trainer, from_episode))
@@ -106,14 +105,9 @@ impl TrainingRecorder<RetrainError> for CheckpointWriter<'_, '_, '_> {
 
     fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), RetrainError> {
         // Written together; list entries after the checkpoint are dropped on resume.
-        let before = self.context;
-        let (lists, learner) = (before.path(CHECKPOINTS), before.path(LEARNER));
-        let checkpoints = to_json(&self.checkpoints)?;
-        Ok(before
-            .run_folder
-            .transaction()
-            .write(&lists, checkpoints)
-            .write(&learner, trainer.to_checkpoint()?)
-            .commit()?)
+        let mut changes = self.context.run_folder.transaction();
+        changes.write(&self.context.path(CHECKPOINTS), to_json(&self.checkpoints)?);
+        changes.write(&self.context.path(LEARNER), trainer.to_checkpoint()?);
+        Ok(changes.commit()?)
     }
 }

@@ -172,9 +172,8 @@ impl Trainer {
             return Err(checkpoint_error(format!("it belongs to seed {}, not {seed}", header.seed)));
         }
         if (TrainingConfig { episodes: config.episodes, ..header.config }) != *config {
-            return Err(checkpoint_error(
-                "it belongs to another configuration: only the number of episodes may differ",
-            ));
+            let problem = "it belongs to another configuration: only the number of episodes may differ";
+            return Err(checkpoint_error(problem));
         }
         let asked = source.identity()?;
         if header.scenarios != asked {

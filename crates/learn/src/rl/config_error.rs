@@ -37,6 +37,10 @@ pub enum TrainingConfigError {
 }
 
 impl TrainingConfigError {
+    pub(super) fn field(field: impl Into<String>, problem: impl Into<String>) -> Self {
+        Self::Field { field: field.into(), problem: problem.into() }
+    }
+
     /// Adds the file and the line of the field, and reports numbers as written, because `found` may have been rounded.
     #[must_use]
     pub fn with_location(self, text: &str, path: &Path) -> Self {

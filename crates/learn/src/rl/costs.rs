@@ -4,6 +4,8 @@
 use crumple_world::measure::justified_brake_mps2;
 use serde::{Deserialize, Serialize};
 
+use super::serde_helpers::is_default;
+
 const MAX_WEIGHT: f64 = 100.0;
 
 /// Costs of a step, as a share of its reward. A step without a collision earns `step_reward * (1 - sum of weight *
@@ -47,14 +49,8 @@ pub struct CostConfig {
     #[serde(rename = "needless")]
     pub unnecessary_braking: f64,
     /// Weight of the residual action.
-    #[serde(skip_serializing_if = "is_zero")]
-    #[serde(rename = "departure")]
+    #[serde(rename = "departure", skip_serializing_if = "is_default")]
     pub residual: f64,
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
-fn is_zero(weight: &f64) -> bool {
-    *weight == 0.0
 }
 
 impl Default for CostConfig {
@@ -75,59 +71,39 @@ impl Default for CostConfig {
 }
 
 impl CostConfig {
-    fn weights(&self) -> [(&'static str, f64); 8] {
+    fn weights_mut(&mut self) -> [(&'static str, &mut f64); 8] {
         [
-            ("environment.costs.far", self.far),
-            ("environment.costs.near", self.near),
-            ("environment.costs.relative_speed", self.relative_speed),
-            ("environment.costs.acceleration", self.acceleration),
-            ("environment.costs.jerk", self.jerk),
-            ("environment.costs.imposed", self.induced_braking),
-            ("environment.costs.needless", self.unnecessary_braking),
-            ("environment.costs.departure", self.residual),
+            ("far", &mut self.far),
+            ("near", &mut self.near),
+            ("relative_speed", &mut self.relative_speed),
+            ("acceleration", &mut self.acceleration),
+            ("jerk", &mut self.jerk),
+            ("imposed", &mut self.induced_braking),
+            ("needless", &mut self.unnecessary_braking),
+            ("departure", &mut self.residual),
         ]
+    }
+
+    fn weights(&self) -> [(&'static str, f64); 8] {
+        self.clone().weights_mut().map(|(name, weight)| (name, *weight))
     }
 
     /// Yields the path, value and range of every number.
     pub(super) fn ranges(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
-        let wanted = [
-            ("environment.costs.standstill_m", self.standstill_m, [0.1, 100.0]),
-            ("environment.costs.headway_s", self.headway_s, [0.0, 10.0]),
-        ];
+        let wanted = [("standstill_m", self.standstill_m, [0.1, 100.0]), ("headway_s", self.headway_s, [0.0, 10.0])];
         let weights = self.weights().map(|(name, weight)| (name, weight, [0.0, MAX_WEIGHT]));
-        wanted.into_iter().chain(weights).map(|(name, value, range)| (name.to_owned(), value, range))
+        let all = wanted.into_iter().chain(weights);
+        all.map(|(name, value, range)| (format!("environment.costs.{name}"), value, range))
     }
 
-    #[must_use]
     pub(crate) fn is_free(&self) -> bool {
         self.weights().iter().all(|(_, weight)| *weight == 0.0)
     }
 
     pub(super) fn scaled_by(&self, times: f64) -> Self {
-        let Self {
-            standstill_m,
-            headway_s,
-            far,
-            near,
-            relative_speed,
-            acceleration,
-            jerk,
-            induced_braking: induced,
-            unnecessary_braking: unnecessary,
-            residual: departure,
-        } = *self;
-        Self {
-            standstill_m,
-            headway_s,
-            far: far * times,
-            near: near * times,
-            relative_speed: relative_speed * times,
-            acceleration: acceleration * times,
-            jerk: jerk * times,
-            induced_braking: induced * times,
-            unnecessary_braking: unnecessary * times,
-            residual: departure * times,
-        }
+        let mut scaled = self.clone();
+        scaled.weights_mut().into_iter().for_each(|(_, weight)| *weight *= times);
+        scaled
     }
 
     /// Returns approximately the largest cost of a step, as a share of its reward.

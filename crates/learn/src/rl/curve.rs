@@ -25,10 +25,10 @@ pub fn parse_episode(line: &str) -> Option<u64> {
     }
 }
 
-/// Returns the episode of an evaluation; none for other log lines.
-pub(super) fn parse_evaluation_episode(line: &str) -> Option<u64> {
+/// Returns the episode and the mean reward of an evaluation; none for other log lines.
+pub(super) fn parse_evaluation(line: &str) -> Option<(u64, f64)> {
     match serde_json::from_str(line).ok()? {
-        LogLine::Evaluation { episode, .. } => Some(episode),
+        LogLine::Evaluation { episode, result } => Some((episode, result.mean_reward)),
         LogLine::Episode { .. } => None,
     }
 }
@@ -36,16 +36,8 @@ pub(super) fn parse_evaluation_episode(line: &str) -> Option<u64> {
 /// Computes the learning curve of trainings from their logs.
 #[must_use]
 pub fn learning_curve(preset: &str, logs: &[String]) -> LearningCurve {
-    LearningCurve::from_evaluations(preset, &logs.iter().map(|log| parse_evaluations(log)).collect::<Vec<_>>())
-}
-
-fn parse_evaluations(log: &str) -> BTreeMap<u64, f64> {
-    log.lines()
-        .filter_map(|line| match serde_json::from_str(line).ok()? {
-            LogLine::Evaluation { episode, result } => Some((episode, result.mean_reward)),
-            LogLine::Episode { .. } => None,
-        })
-        .collect()
+    let evaluations = logs.iter().map(|log| log.lines().filter_map(parse_evaluation).collect::<BTreeMap<_, _>>());
+    LearningCurve::from_evaluations(preset, &evaluations.collect::<Vec<_>>())
 }
 
 #[cfg(test)]
@@ -57,7 +49,7 @@ mod tests {
         let log = "{\"episode\":{\"episode\":1,\"reward\":3}}\n\
                    {\"evaluation\":{\"episode\":5,\"best\":true,\"result\":{\"mean_reward\":22500.0}}}\n\
                    {\"evaluation\":{\"episode\":10,\"best\":false,\"result\":{\"mean_reward\":100.0}}}\n";
-        assert_eq!(parse_evaluations(log), BTreeMap::from([(5, 22_500.0), (10, 100.0)]));
+        assert_eq!(log.lines().filter_map(parse_evaluation).collect::<Vec<_>>(), [(5, 22_500.0), (10, 100.0)]);
         assert_eq!(log.lines().map(parse_episode).collect::<Vec<_>>(), [Some(1), Some(5), Some(10)]);
     }
 }

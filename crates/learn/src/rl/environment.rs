@@ -121,14 +121,7 @@ impl TrainingEpisode {
     /// Holds an action, in `[-1, 1]`, until the next decision.
     pub fn step(&mut self, action: f32) -> StepOutcome {
         self.held_action.set(action);
-        let Self {
-            stepper,
-            config: constants,
-            reward_tracker: earnings,
-            held_action: held,
-            steps_at_rest: standing_steps,
-            ..
-        } = self;
+        let Self { stepper, config: constants, reward_tracker, held_action, steps_at_rest, .. } = self;
         let EpisodeConstants { environment: config, action_bounds: bounds, .. } = &**constants;
         let (mut reward, mut of_last_step, mut ending) = (0.0, 0.0, EpisodeEnding::None);
         let residual = Cell::new(0.0);
@@ -136,21 +129,21 @@ impl TrainingEpisode {
         let command = |seen: &Observation| match acceleration_mps2 {
             Some(held_mps2) if bounds.residual_over.is_none() => held_mps2,
             _ => {
-                let wanted_mps2 = held.acceleration_mps2(bounds, seen, PAPER_STEP_S);
-                residual.set(held.residual());
+                let wanted_mps2 = held_action.acceleration_mps2(bounds, seen, PAPER_STEP_S);
+                residual.set(held_action.residual());
                 *acceleration_mps2.insert(wanted_mps2)
             }
         };
         let after = |now: &StepView<'_>| {
-            of_last_step = earnings.step_reward(now, config, residual.get());
+            of_last_step = reward_tracker.step_reward(now, config, residual.get());
             reward += of_last_step;
             let at_rest = now.motion.iter().all(|motion| motion.speed_mps == 0.0);
-            *standing_steps = if at_rest { *standing_steps + 1 } else { 0 };
+            *steps_at_rest = if at_rest { *steps_at_rest + 1 } else { 0 };
             ending = if now.has_collided {
                 EpisodeEnding::Contact
             } else if now.has_ended {
                 EpisodeEnding::TimeLimit
-            } else if *standing_steps >= self.min_rest_steps {
+            } else if *steps_at_rest >= self.min_rest_steps {
                 EpisodeEnding::AtRest
             } else {
                 EpisodeEnding::None
@@ -187,7 +180,6 @@ impl TrainingEpisode {
     }
 
     /// Returns the reward so far as in the paper: undiscounted and unscaled, 22 500 for an episode without a collision.
-    #[must_use]
     pub(crate) fn total_reward(&self) -> f64 {
         self.undiscounted_return
     }
@@ -198,7 +190,6 @@ impl TrainingEpisode {
         self.stepper.motion()
     }
 
-    #[must_use]
     pub(crate) fn steps_made(&self) -> usize {
         self.stepper.step_count()
     }

@@ -46,18 +46,15 @@ pub struct PolicyEvaluation {
     /// Smallest gap between any two vehicles in all simulations, in metres.
     pub smallest_gap_m: f64,
     /// Usefulness of a ranked policy in everyday traffic; none if it was not ranked, or there are no such scenarios.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "useful")]
+    #[serde(rename = "useful", default, skip_serializing_if = "Option::is_none")]
     pub usefulness: Option<TrafficUsefulness>,
     /// Collision share of the ranking scenarios plus the penalty of usefulness; none like `usefulness`.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "both_sides")]
+    #[serde(rename = "both_sides", default, skip_serializing_if = "Option::is_none")]
     pub combined_penalty: Option<f64>,
 }
 
 impl PolicyEvaluation {
     /// Returns the rank, greater is better: first safety (and usefulness, if tested), then paper-3, then the gap.
-    #[must_use]
     pub(crate) fn score(&self) -> [f64; 5] {
         let safe = |is: bool| f64::from(u8::from(is));
         [
@@ -118,7 +115,6 @@ impl EvaluationSet {
     }
 
     /// Replaces the ranking scenarios. Only policies that pass all three scenarios of the paper are ranked.
-    #[must_use]
     pub(crate) fn with_ranking(mut self, ranking: Vec<Scenario>) -> Self {
         (self.ranking, self.required_paper_scenarios) = (ranking, PAPER_SCENARIOS.len());
         self

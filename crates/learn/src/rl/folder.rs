@@ -7,7 +7,7 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::config::TrainingConfig;
-use super::curve::{parse_episode, parse_evaluation_episode};
+use super::curve::{parse_episode, parse_evaluation};
 use super::evaluation::{EvaluationSet, PolicyEvaluation, count_unseen_contacts};
 use super::runner::{TrainingEvent, TrainingRecorder, train_with_recorder};
 use super::trainer::{Trainer, TrainingError};
@@ -74,7 +74,7 @@ impl<'a> TrainingFolder<'a> {
         let (checkpoint, path, source) = (work.read(CHECKPOINT)?, work.path(CHECKPOINT), config.scenario_source()?);
         let trainer = match checkpoint {
             Some(bytes) => Trainer::from_checkpoint(&bytes, config, seed, source).map_err(|error| match error {
-                TrainingError::Checkpoint(problem) => RunFolderError::Damaged { path, problem }.into(),
+                TrainingError::Checkpoint(problem) => RunFolderError::damaged(&path, problem).into(),
                 other => other,
             })?,
             None => Trainer::with_source(config, seed, source),
@@ -83,7 +83,7 @@ impl<'a> TrainingFolder<'a> {
         let is_done = |line: &&str| parse_episode(line).is_some_and(|episode| episode <= trainer.episode());
         // Drop an evaluation that is only due at the end of the training. It is repeated if the end is the same.
         let is_of_the_end = |line: &&str| {
-            parse_evaluation_episode(line).is_some_and(|episode| episode > 0 && !trainer.is_evaluation_episode(episode))
+            parse_evaluation(line).is_some_and(|(episode, _)| episode > 0 && !trainer.is_evaluation_episode(episode))
         };
         // Drop log entries after the checkpoint; their episodes are repeated.
         let log = match trainer.episode() {
@@ -238,7 +238,6 @@ pub(super) fn config_toml(config: &TrainingConfig) -> Result<String, TrainingErr
 
 fn read_result(work: &RunFolder) -> Result<SeedResult, TrainingError> {
     let bytes = work.read_required(RESULT)?;
-    let damaged =
-        |error: serde_json::Error| RunFolderError::Damaged { path: work.path(RESULT), problem: error.to_string() };
-    Ok(serde_json::from_slice(&bytes).map_err(damaged)?)
+    let found = serde_json::from_slice(&bytes);
+    Ok(found.map_err(|error| RunFolderError::damaged(&work.path(RESULT), error.to_string()))?)
 }

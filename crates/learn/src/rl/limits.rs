@@ -21,7 +21,7 @@ fn check_penalty(field: &str, weight: f32) -> Result<(), TrainingConfigError> {
     // Compare with the f32 rounding of the minimum, so that the minimum itself passes.
     if 0.0 < weight && weight < f64::from(least as f32) {
         let problem = format!("must be 0, for none, or between {least} and {most}");
-        return Err(TrainingConfigError::Field { field: field.to_owned(), problem });
+        return Err(TrainingConfigError::field(field, problem));
     }
     check_range(field, weight, [0.0, most])
 }
@@ -34,13 +34,10 @@ impl TrainingConfig {
     pub fn check(&self) -> Result<(), TrainingConfigError> {
         if self.version != TRAINING_VERSION {
             let problem = format!("version {} is not supported; this release reads {TRAINING_VERSION}", self.version);
-            return Err(TrainingConfigError::Field { field: "version".to_owned(), problem });
+            return Err(TrainingConfigError::field("version", problem));
         }
         if self.name.trim().is_empty() {
-            return Err(TrainingConfigError::Field {
-                field: "name".to_owned(),
-                problem: "must not be empty".to_owned(),
-            });
+            return Err(TrainingConfigError::field("name", "must not be empty"));
         }
         check_range("episodes", self.episodes as f64, [1.0, 1e7])?;
         check_range("environment.decision_steps", f64::from(self.environment.action_repeat), [1.0, 1500.0])?;
@@ -58,7 +55,7 @@ impl TrainingConfig {
         let layers = self.network.hidden.len();
         if !(1..=MAX_LAYERS).contains(&layers) {
             let problem = format!("must have 1 to {MAX_LAYERS} layers, found {layers}");
-            return Err(TrainingConfigError::Field { field: "network.hidden".to_owned(), problem });
+            return Err(TrainingConfigError::field("network.hidden", problem));
         }
         for (layer, &width) in self.network.hidden.iter().enumerate() {
             check_range(&format!("network.hidden[{layer}]"), width as f64, [1.0, 4096.0])?;
@@ -83,7 +80,7 @@ impl TrainingConfig {
                 "must be above exploration.random_episodes, after which learning starts: above {random}, found {}",
                 fall.until_episode
             );
-            return Err(TrainingConfigError::Field { field: "learning.rates_fall.until_episode".to_owned(), problem });
+            return Err(TrainingConfigError::field("learning.rates_fall.until_episode", problem));
         }
         check_range("exploration.random_hold_steps", f64::from(self.exploration.random_hold_steps), [1.0, 1500.0])?;
         check_range("exploration.noise", self.exploration.noise, [0.0, 10.0])?;
@@ -91,7 +88,7 @@ impl TrainingConfig {
         check_range("replay.capacity", self.replay.capacity as f64, [1.0, 1e8])?;
         if self.replay.capacity < self.learning.batch {
             let problem = format!("holds {} transitions, less than learning.batch", self.replay.capacity);
-            return Err(TrainingConfigError::Field { field: "replay.capacity".to_owned(), problem });
+            return Err(TrainingConfigError::field("replay.capacity", problem));
         }
         check_range("replay.contact_share", self.replay.collision_fraction, [0.0, 1.0])?;
         check_range("td3.actor_every", f64::from(self.td3.actor_every), [1.0, 1e6])?;
@@ -112,17 +109,10 @@ impl TrainingConfig {
         let parts = self.memory_by_field();
         let found = parts.iter().fold(0, |sum: u64, (_, bytes)| sum.saturating_add(*bytes));
         let largest = parts.iter().max_by_key(|(_, bytes)| *bytes);
-        match largest.filter(|_| found > MAX_MEMORY_BYTES) {
-            None => Ok(()),
-            Some((field, _)) => {
-                let problem = format!(
-                    "training takes about {} MiB of memory, and at most {} MiB are allowed",
-                    found >> 20,
-                    MAX_MEMORY_BYTES >> 20
-                );
-                Err(TrainingConfigError::Field { field: (*field).to_owned(), problem })
-            }
-        }
+        let Some((field, _)) = largest.filter(|_| found > MAX_MEMORY_BYTES) else { return Ok(()) };
+        let (found, allowed) = (found >> 20, MAX_MEMORY_BYTES >> 20);
+        let problem = format!("training takes about {found} MiB of memory, and at most {allowed} MiB are allowed");
+        Err(TrainingConfigError::field(*field, problem))
     }
 
     /// Returns an upper bound of the bytes of each part of a training, with the field that determines it.
@@ -132,14 +122,12 @@ impl TrainingConfig {
         let parameters: u64 = widths.windows(2).map(|pair| (pair[0] + 1) * pair[1]).sum();
         let draws = self.evaluation.screening_draws + self.evaluation.ranking_draws + self.evaluation.usefulness_draws;
         let float_bytes = |count: u64| count.saturating_mul(size_of::<f32>() as u64);
+        // The replay memory and its checkpoint.
+        let replay = 2 * (self.transition_layout().width() as u64 + 1) * self.replay.capacity as u64;
         [
             ("network.hidden", float_bytes(NETWORK_COPIES * parameters)),
             ("learning.batch", float_bytes(BATCH_COPIES * self.learning.batch as u64 * widths.iter().sum::<u64>())),
-            // The replay memory and its checkpoint.
-            (
-                "replay.capacity",
-                float_bytes(2 * (self.transition_layout().width() as u64 + 1) * self.replay.capacity as u64),
-            ),
+            ("replay.capacity", float_bytes(replay)),
             ("evaluation.ranking_draws", draws * SCENARIO_BYTES),
         ]
     }
@@ -156,29 +144,23 @@ mod tests {
             let bytes = TrainingConfig::preset(name).unwrap().memory_by_field().map(|(_, bytes)| bytes);
             assert!(bytes.iter().sum::<u64>() < MAX_MEMORY_BYTES / 16, "{name}: {bytes:?}");
         }
-        let changed = |change: &dyn Fn(&mut TrainingConfig)| {
+        let mut large = TrainingConfig::preset("paper").unwrap();
+        large.network.hidden = vec![1024; 4];
+        large.check().unwrap();
+        let refused = |field: &str, change: &dyn Fn(&mut TrainingConfig)| {
             let mut config = TrainingConfig::preset("paper").unwrap();
             change(&mut config);
-            config.check()
+            let error = config.check().unwrap_err().to_string();
+            assert!(error.starts_with(&format!("{field}: training takes about ")), "{error}");
+            assert!(error.ends_with(" MiB of memory, and at most 4096 MiB are allowed"), "{error}");
         };
-        let refused = |field: &str, result: Result<(), TrainingConfigError>| {
-            let error = result.unwrap_err().to_string();
-            let begins = format!("{field}: training takes about ");
-            assert!(
-                error.starts_with(&begins) && error.ends_with(" MiB of memory, and at most 4096 MiB are allowed"),
-                "{error}"
-            );
-        };
-        refused("network.hidden", changed(&|config| config.network.hidden = vec![4096; 16]));
-        refused("replay.capacity", changed(&|config| config.replay.capacity = 100_000_000));
-        let evaluated = |config: &mut TrainingConfig| {
+        refused("network.hidden", &|config| config.network.hidden = vec![4096; 16]);
+        refused("replay.capacity", &|config| config.replay.capacity = 100_000_000);
+        refused("evaluation.ranking_draws", &|config| {
             (config.evaluation.screening_draws, config.evaluation.ranking_draws) = (900_000, 1_000_000);
-        };
-        refused("evaluation.ranking_draws", changed(&evaluated));
-        let wide = |config: &mut TrainingConfig| {
+        });
+        refused("learning.batch", &|config| {
             (config.network.hidden, config.learning.batch, config.replay.capacity) = (vec![2048; 8], 65_536, 65_536);
-        };
-        refused("learning.batch", changed(&wide));
-        changed(&|config| config.network.hidden = vec![1024; 4]).unwrap();
+        });
     }
 }

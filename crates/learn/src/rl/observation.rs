@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::config_error::TrainingConfigError;
+use super::serde_helpers::{is_one, one};
 use crumple_world::policy::{MAX_HISTORY, ObservationScaling, STATE_LEN};
 
 /// Inputs of the networks, each as `(x - offset) / scale`, clipped to ±`limit`. Quantities that `inputs` omits are 0.
@@ -20,10 +21,10 @@ pub struct ObservationConfig {
     /// Gap to a vehicle that is absent, in metres; it has the ego vehicle's speed.
     pub empty_gap_m: f64,
     /// Number of decisions in the observation, with the present one. At the start the first one is repeated.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
+    #[serde(default = "one::<u32>", skip_serializing_if = "is_one")]
     pub history: u32,
     /// Decisions between two of them. A longer interval keeps noise from hiding changes of speed.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
+    #[serde(default = "one::<u32>", skip_serializing_if = "is_one")]
     pub history_every: u32,
     /// Selected inputs.
     pub inputs: ObservationInputs,
@@ -38,15 +39,6 @@ fn strided_history_schema() -> serde_json::Value {
 #[cfg(feature = "schema")]
 fn required_history_schema() -> serde_json::Value {
     serde_json::json!({ "required": ["history"], "properties": { "history": { "minimum": 2 } } })
-}
-
-fn one() -> u32 {
-    1
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
-fn is_one(count: &u32) -> bool {
-    *count == 1
 }
 
 /// Scaling of each input; none for an omitted input.
@@ -92,62 +84,41 @@ pub struct InputScaling {
     pub scale: f64,
 }
 
-/// Paths of the inputs, in the order of [`ObservationInputs::to_array`].
-const INPUT_FIELDS: [&str; STATE_LEN] = [
-    "environment.observation.inputs.gap_ahead_m",
-    "environment.observation.inputs.gap_behind_m",
-    "environment.observation.inputs.speed_ahead_mps",
-    "environment.observation.inputs.speed_mps",
-    "environment.observation.inputs.speed_behind_mps",
-    "environment.observation.inputs.acceleration_ahead_mps2",
-    "environment.observation.inputs.acceleration_mps2",
-    "environment.observation.inputs.acceleration_behind_mps2",
-];
-
 /// Scaling that maps every value to 0.
 const MASKED_INPUT: InputScaling = InputScaling { offset: 0.0, scale: f64::MAX };
 
 impl ObservationInputs {
-    /// Returns the scalings in the order of the network inputs, which is that of the paper.
-    fn to_array(&self) -> [Option<InputScaling>; STATE_LEN] {
+    /// Returns field and scaling of each input in the order of the network inputs, which is that of the paper.
+    fn fields_mut(&mut self) -> [(&'static str, &mut Option<InputScaling>); STATE_LEN] {
         [
-            self.gap_ahead_m,
-            self.gap_behind_m,
-            self.speed_ahead_mps,
-            self.speed_mps,
-            self.speed_behind_mps,
-            self.acceleration_ahead_mps2,
-            self.acceleration_mps2,
-            self.acceleration_behind_mps2,
+            ("gap_ahead_m", &mut self.gap_ahead_m),
+            ("gap_behind_m", &mut self.gap_behind_m),
+            ("speed_ahead_mps", &mut self.speed_ahead_mps),
+            ("speed_mps", &mut self.speed_mps),
+            ("speed_behind_mps", &mut self.speed_behind_mps),
+            ("acceleration_ahead_mps2", &mut self.acceleration_ahead_mps2),
+            ("acceleration_mps2", &mut self.acceleration_mps2),
+            ("acceleration_behind_mps2", &mut self.acceleration_behind_mps2),
         ]
+    }
+
+    fn to_array(&self) -> [(&'static str, Option<InputScaling>); STATE_LEN] {
+        self.clone().fields_mut().map(|(name, input)| (name, *input))
     }
 }
 
 impl Default for ObservationConfig {
     fn default() -> Self {
-        let ObservationScaling { offset, scale, limit, empty_gap_m, history: _, history_every: _ } =
-            ObservationScaling::default();
-        let mut all = offset.into_iter().zip(scale).map(|(offset, scale)| InputScaling { offset, scale });
-        let inputs = ObservationInputs {
-            gap_ahead_m: all.next(),
-            gap_behind_m: all.next(),
-            speed_ahead_mps: all.next(),
-            speed_mps: all.next(),
-            speed_behind_mps: all.next(),
-            acceleration_ahead_mps2: all.next(),
-            acceleration_mps2: all.next(),
-            acceleration_behind_mps2: all.next(),
-        };
-        Self { limit, empty_gap_m, history: one(), history_every: one(), inputs }
+        let ObservationScaling { offset, scale, limit, empty_gap_m, .. } = ObservationScaling::default();
+        let mut inputs = ObservationInputs::default();
+        for ((_, input), (offset, scale)) in inputs.fields_mut().into_iter().zip(offset.into_iter().zip(scale)) {
+            *input = Some(InputScaling { offset, scale });
+        }
+        Self { limit, empty_gap_m, history: 1, history_every: 1, inputs }
     }
 }
 
 impl ObservationConfig {
-    /// True for the observation of all policies from before it could be configured.
-    pub(super) fn is_default(&self) -> bool {
-        *self == Self::default()
-    }
-
     pub(super) fn width(&self) -> usize {
         STATE_LEN * self.history as usize
     }
@@ -160,7 +131,7 @@ impl ObservationConfig {
     /// Returns the scaling for a policy file.
     #[must_use]
     pub fn scaling(&self) -> ObservationScaling {
-        let all = self.inputs.to_array().map(|input| input.unwrap_or(MASKED_INPUT));
+        let all = self.inputs.to_array().map(|(_, input)| input.unwrap_or(MASKED_INPUT));
         ObservationScaling {
             offset: all.map(|input| input.offset),
             scale: all.map(|input| input.scale),
@@ -173,19 +144,19 @@ impl ObservationConfig {
 
     /// Yields the path, value and range of every number.
     pub(super) fn ranges(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
-        let inputs =
-            INPUT_FIELDS.into_iter().zip(self.inputs.to_array()).filter_map(|(name, input)| Some((name, input?)));
+        let inputs = self.inputs.to_array().into_iter().filter_map(|(name, input)| Some((name, input?)));
         let inputs = inputs.flat_map(|(name, input)| {
-            let of = |field| format!("{name}.{field}");
+            let of = |field| format!("inputs.{name}.{field}");
             [(of("offset"), input.offset, [-1e4, 1e4]), (of("scale"), input.scale, [1e-3, 1e4])]
         });
         let whole = [
-            ("environment.observation.limit", self.limit, [0.1, 1000.0]),
-            ("environment.observation.empty_gap_m", self.empty_gap_m, [1.0, 1e4]),
-            ("environment.observation.history", f64::from(self.history), [1.0, MAX_HISTORY as f64]),
-            ("environment.observation.history_every", f64::from(self.history_every), [1.0, MAX_HISTORY as f64]),
+            ("limit".to_owned(), self.limit, [0.1, 1000.0]),
+            ("empty_gap_m".to_owned(), self.empty_gap_m, [1.0, 1e4]),
+            ("history".to_owned(), f64::from(self.history), [1.0, MAX_HISTORY as f64]),
+            ("history_every".to_owned(), f64::from(self.history_every), [1.0, MAX_HISTORY as f64]),
         ];
-        whole.into_iter().map(|(name, value, range)| (name.to_owned(), value, range)).chain(inputs)
+        let all = whole.into_iter().chain(inputs);
+        all.map(|(name, value, range)| (format!("environment.observation.{name}"), value, range))
     }
 
     /// Refuses an observation without inputs, and an interval without a history.
@@ -193,17 +164,13 @@ impl ObservationConfig {
         if self.history_every > 1 && self.history == 1 {
             let problem =
                 "is the interval between past decisions in the observation: remove it, or set `history` to 2 or more";
-            let field = "environment.observation.history_every".to_owned();
-            return Err(TrainingConfigError::Field { field, problem: problem.to_owned() });
+            return Err(TrainingConfigError::field("environment.observation.history_every", problem));
         }
-        if self.inputs.to_array().iter().any(Option::is_some) {
-            return Ok(());
+        if self.inputs == ObservationInputs::default() {
+            let problem = "the observation is empty; name at least one input";
+            return Err(TrainingConfigError::field("environment.observation.inputs", problem));
         }
-        let field = "environment.observation.inputs".to_owned();
-        Err(TrainingConfigError::Field {
-            field,
-            problem: "the observation is empty; name at least one input".to_owned(),
-        })
+        Ok(())
     }
 }
 

@@ -30,11 +30,11 @@ const SCALAR_COUNT: usize = 4;
 
 /// Layout of a stored transition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct TransitionLayout {
+pub(crate) struct TransitionLayout {
     /// Numbers of an observation.
-    pub state_width: usize,
+    pub(crate) state_width: usize,
     /// Numbers of privileged information at each decision.
-    pub privileged_width: usize,
+    pub(crate) privileged_width: usize,
 }
 
 impl TransitionLayout {
@@ -43,31 +43,9 @@ impl TransitionLayout {
     }
 }
 
-impl<'a> Transition<'a> {
-    fn to_scalars(self) -> [f32; SCALAR_COUNT] {
-        let flag = |is: bool| f32::from(u8::from(is));
-        [self.action, self.reward, flag(self.continues), flag(self.contact)]
-    }
-
-    fn from_row(numbers: &'a [f32], width: usize) -> Option<Self> {
-        let (known, &[action, reward, continues, contact]) = numbers.split_last_chunk()?;
-        let (state, known) = known.split_at_checked(width)?;
-        let (next_state, privileged) = known.split_at_checked(width)?;
-        Some(Self {
-            state,
-            next_state,
-            privileged,
-            action,
-            reward,
-            continues: continues != 0.0,
-            contact: contact != 0.0,
-        })
-    }
-}
-
 /// Replay memory of a training.
 #[derive(Debug, Clone, PartialEq)]
-pub struct ReplayBuffer {
+pub(crate) struct ReplayBuffer {
     capacity: usize,
     layout: TransitionLayout,
     width: usize,
@@ -138,8 +116,7 @@ impl Batch {
 
 impl ReplayBuffer {
     /// Creates an empty memory for `capacity` transitions.
-    #[must_use]
-    pub fn new(capacity: usize, remembered: TransitionLayout) -> Self {
+    pub(crate) fn new(capacity: usize, remembered: TransitionLayout) -> Self {
         let width = remembered.width();
         Self {
             capacity: capacity.max(1),
@@ -152,22 +129,17 @@ impl ReplayBuffer {
     }
 
     /// Returns the number of stored transitions.
-    #[must_use]
-    pub fn len(&self) -> usize {
+    pub(crate) fn len(&self) -> usize {
         self.data.len() / self.width
     }
 
-    /// True if the memory is empty.
-    #[must_use]
-    pub fn is_empty(&self) -> bool {
-        self.data.is_empty()
-    }
-
     /// Stores a transition; a full memory overwrites the oldest one.
-    pub fn push(&mut self, transition: &Transition<'_>) {
+    pub(crate) fn push(&mut self, transition: &Transition<'_>) {
         let place = (self.total_stored % self.capacity as u64) as usize;
         let known = [transition.state, transition.next_state, transition.privileged].into_iter().flatten().copied();
-        let numbers: Vec<f32> = known.chain(transition.to_scalars()).collect();
+        let [continues, contact] = [transition.continues, transition.contact].map(|is| f32::from(u8::from(is)));
+        let scalars: [f32; SCALAR_COUNT] = [transition.action, transition.reward, continues, contact];
+        let numbers: Vec<f32> = known.chain(scalars).collect();
         debug_assert_eq!(numbers.len(), self.width, "as wide as the memory");
         match self.data.chunks_exact_mut(self.width).nth(place) {
             Some(oldest) => {
@@ -196,7 +168,7 @@ impl ReplayBuffer {
     }
 
     /// Samples with replacement; a `contact_share` from transitions that ended in a collision, if any.
-    pub fn sample(&self, stream: &mut Stream, count: usize, contact_share: f64, batch: &mut Batch) {
+    pub(crate) fn sample(&self, stream: &mut Stream, count: usize, contact_share: f64, batch: &mut Batch) {
         batch.clear();
         if self.data.is_empty() {
             return;
@@ -216,13 +188,11 @@ impl ReplayBuffer {
     }
 
     /// Returns the state for a checkpoint: the number of transitions ever stored, and the stored transitions by index.
-    #[must_use]
     pub(crate) fn as_raw_parts(&self) -> (u64, &[f32]) {
         (self.total_stored, &self.data)
     }
 
     /// Restores the state of [`ReplayBuffer::as_raw_parts`]; none if its lengths are inconsistent.
-    #[must_use]
     pub(crate) fn from_raw_parts(
         capacity: usize,
         remembered: TransitionLayout,
@@ -242,7 +212,11 @@ impl ReplayBuffer {
 
     fn transition(&self, place: usize) -> Option<Transition<'_>> {
         let row = self.data.get(place * self.width..(place + 1) * self.width)?;
-        Transition::from_row(row, self.layout.state_width)
+        let (known, &[action, reward, continues, contact]) = row.split_last_chunk()?;
+        let (state, known) = known.split_at_checked(self.layout.state_width)?;
+        let (next_state, privileged) = known.split_at_checked(self.layout.state_width)?;
+        let (continues, contact) = (continues != 0.0, contact != 0.0);
+        Some(Transition { state, next_state, privileged, action, reward, continues, contact })
     }
 }
 

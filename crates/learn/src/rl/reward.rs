@@ -97,15 +97,11 @@ mod tests {
         let mut stepper = Stepper::new(&run, RecordingLevel::Summary);
         let mut reward_tracker = RewardTracker::new(&stepper, 0.01, &config.costs);
         let mut earned = 0.0;
-        stepper.drive(
-            EGO,
-            1,
-            |_| -4.0,
-            |now| {
-                earned = reward_tracker.step_reward(now, &config, 0.25);
-                ControlFlow::Break(())
-            },
-        );
+        let after = |now: &StepView<'_>| {
+            earned = reward_tracker.step_reward(now, &config, 0.25);
+            ControlFlow::Break(())
+        };
+        stepper.drive(EGO, 1, |_| -4.0, after);
         earned / config.step_reward
     }
 
@@ -113,18 +109,18 @@ mod tests {
     fn each_term_by_hand() {
         let none = CostConfig::default;
         assert_eq!(relative_step_reward(none()), 1.0);
-        let near = |found: f64, by_hand: f64| assert!((found - (1.0 - by_hand)).abs() < 2e-3, "{found} {by_hand}");
-        near(relative_step_reward(CostConfig { near: 1.0, ..none() }), (34.5 - 16.0) / 34.5);
-        near(
-            relative_step_reward(CostConfig { far: 1.0, standstill_m: 1.0, headway_s: 0.5, ..none() }),
-            (16.0 - 13.5) / 13.5,
-        );
-        near(relative_step_reward(CostConfig { relative_speed: 10.0, ..none() }), 0.04);
-        near(relative_step_reward(CostConfig { acceleration: 2.0, ..none() }), 2.0 * (4.0_f64 / 7.5).powi(2));
-        near(relative_step_reward(CostConfig { jerk: 0.5, ..none() }), 0.5 * 400.0 / 75.0);
+        let costs = |costs, by_hand: f64| {
+            let found = relative_step_reward(costs);
+            assert!((found - (1.0 - by_hand)).abs() < 2e-3, "{found} {by_hand}");
+        };
+        costs(CostConfig { near: 1.0, ..none() }, (34.5 - 16.0) / 34.5);
+        costs(CostConfig { far: 1.0, standstill_m: 1.0, headway_s: 0.5, ..none() }, (16.0 - 13.5) / 13.5);
+        costs(CostConfig { relative_speed: 10.0, ..none() }, 0.04);
+        costs(CostConfig { acceleration: 2.0, ..none() }, 2.0 * (4.0_f64 / 7.5).powi(2));
+        costs(CostConfig { jerk: 0.5, ..none() }, 0.5 * 400.0 / 75.0);
         // The reference driver wants 42 m, so it brakes at 0.73 (42 / 16)² m/s², which exceeds 4 m/s².
-        near(relative_step_reward(CostConfig { unnecessary_braking: 1.0, ..none() }), 0.0);
-        near(relative_step_reward(CostConfig { induced_braking: 1.0, ..none() }), 0.0);
-        near(relative_step_reward(CostConfig { residual: 2.0, ..none() }), 0.5);
+        costs(CostConfig { unnecessary_braking: 1.0, ..none() }, 0.0);
+        costs(CostConfig { induced_braking: 1.0, ..none() }, 0.0);
+        costs(CostConfig { residual: 2.0, ..none() }, 0.5);
     }
 }

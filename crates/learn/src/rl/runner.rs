@@ -44,11 +44,9 @@ pub(crate) trait TrainingRecorder<E> {
 /// Number of evaluations between checkpoints. Checkpoints cost little, and an interruption loses less than a minute.
 const EVALUATIONS_PER_CHECKPOINT: u64 = 10;
 
-struct ForwardingRecorder<'a>(&'a dyn Observer<TrainingEvent>);
-
-impl TrainingRecorder<TrainingError> for ForwardingRecorder<'_> {
+impl TrainingRecorder<TrainingError> for &dyn Observer<TrainingEvent> {
     fn record(&mut self, event: &TrainingEvent) -> Result<(), TrainingError> {
-        Ok(self.0.notify(event)?)
+        Ok(self.notify(event)?)
     }
 
     fn checkpoint(&mut self, _: &Trainer) -> Result<(), TrainingError> {
@@ -74,9 +72,9 @@ impl TrainingRecorder<TrainingError> for ForwardingRecorder<'_> {
 pub fn train(
     trainer: &mut Trainer,
     held_out: &EvaluationSet,
-    observer: &dyn Observer<TrainingEvent>,
+    mut observer: &dyn Observer<TrainingEvent>,
 ) -> Result<(), TrainingError> {
-    train_with_recorder(trainer, held_out, &mut ForwardingRecorder(observer))
+    train_with_recorder(trainer, held_out, &mut observer)
 }
 
 /// Trains until the last episode, and passes events and checkpoints to `recorder`.

@@ -72,7 +72,7 @@ impl TrainingShard {
         let path = folder.join(SHARD_FILE);
         match path.exists() {
             true if Self::read(folder)? == *self => Ok(()),
-            true => Err(damaged_error(&path, "the folder holds another shard: use another --out").into()),
+            true => Err(RunFolderError::damaged(&path, "the folder holds another shard: use another --out").into()),
             false => Ok(disk::write(&path, self.to_json()?).map_err(RunFolderError::from)?),
         }
     }
@@ -84,20 +84,19 @@ impl TrainingShard {
     pub fn read(folder: &Path) -> Result<Self, MergeTrainingsError> {
         let path = folder.join(SHARD_FILE);
         let bytes = disk::read(&path, MAX_BYTES).map_err(RunFolderError::from)?;
-        let bytes = bytes
-            .ok_or_else(|| damaged_error(&path, "the file is missing, so the folder is not a shard of trainings"))?;
+        let damaged = |problem: &str| RunFolderError::damaged(&path, problem);
+        let bytes = bytes.ok_or_else(|| damaged("the file is missing, so the folder is not a shard of trainings"))?;
         let read: Self = serde_json::from_slice(&bytes).map_err(|error| {
-            let problem = format!("line {}, column {}: not as crumple writes it", error.line(), error.column());
-            damaged_error(&path, &problem)
+            damaged(&format!("line {}, column {}: not as crumple writes it", error.line(), error.column()))
         })?;
         let whole = Self { sha256: String::new(), ..read.clone() }.to_json()?;
         if read.version != VERSION || read.sha256 != sha256(whole) || read.to_json()?.into_bytes() != bytes {
-            return Err(damaged_error(&path, "has changed since it was written").into());
+            return Err(damaged("has changed since it was written").into());
         }
         if read.seeds > MAX_SEEDS {
-            return Err(damaged_error(&path, "seeds: exceed the allowed number").into());
+            return Err(damaged("seeds: exceed the allowed number").into());
         }
-        read.seed_range().map_err(|error| damaged_error(&path, &error.to_string()))?;
+        read.seed_range().map_err(|error| damaged(&error.to_string()))?;
         Ok(read)
     }
 
@@ -116,7 +115,7 @@ impl TrainingShard {
     pub fn config(&self, folder: &Path) -> Result<TrainingConfig, MergeTrainingsError> {
         let path = folder.join(SHARD_FILE);
         let config = TrainingConfig::parse(&self.configuration, &path);
-        Ok(config.map_err(|error| damaged_error(&path, &error.to_string()))?)
+        Ok(config.map_err(|error| RunFolderError::damaged(&path, error.to_string()))?)
     }
 }
 
@@ -166,7 +165,7 @@ impl MergedTrainings {
                 && found.read(CONFIGURATION)? == shard.configuration;
             if !is_own {
                 let problem = "differs from the configuration or seed of the shard";
-                return Err(damaged_error(&place.join(CONFIGURATION), problem).into());
+                return Err(RunFolderError::damaged(&place.join(CONFIGURATION), problem).into());
             }
             found.check()?;
             match self.finished_seeds.get(&seed) {
@@ -226,14 +225,10 @@ pub fn is_trainings_folder(folder: &Path) -> bool {
         name.is_some_and(|number| number.parse::<u64>().is_ok()) && path.is_dir()
     };
     let entries = || std::fs::read_dir(folder).into_iter().flatten().flatten();
-    let text = || disk::read(&folder.join(SHARD_FILE), MAX_BYTES).ok().flatten();
     let says_seeds = || {
-        let text = text().and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok());
+        let bytes = disk::read(&folder.join(SHARD_FILE), MAX_BYTES).ok().flatten();
+        let text = bytes.and_then(|bytes| serde_json::from_slice::<serde_json::Value>(&bytes).ok());
         text.is_some_and(|text| text.get("seeds").is_some())
     };
     !folder.join(MANIFEST_FILE).exists() && (says_seeds() || entries().any(|entry| is_seed(entry.path())))
-}
-
-fn damaged_error(path: &Path, problem: &str) -> RunFolderError {
-    RunFolderError::Damaged { path: path.to_owned(), problem: problem.to_owned() }
 }

@@ -213,13 +213,9 @@ mod tests {
         });
         // Four standard deviations of a count of mean 500.
         assert!(nominal.count().abs_diff(500) < 4 * 20);
-        assert!(
-            blend
-                .identity()
-                .unwrap()
-                .unwrap()
-                .starts_with("a share of 0.25 of the paper's distribution, otherwise the space `high-risk`")
-        );
+        let identity = blend.identity().unwrap().unwrap();
+        let expected = "a share of 0.25 of the paper's distribution, otherwise the space `high-risk`";
+        assert!(identity.starts_with(expected), "{identity}");
     }
 
     #[test]

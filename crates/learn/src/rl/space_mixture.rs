@@ -1,11 +1,10 @@
 //! Training spaces by name or file, and their mixture.
 
-use std::sync::Arc;
-
 use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::config_error::{TrainingConfigError, check_range};
+use super::serde_helpers::{is_one, one};
 use super::source::{PaperSource, ScenarioSource, unsuitability};
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::space::{ScenarioSpace, find_space};
@@ -30,18 +29,8 @@ pub struct TrainingSpace {
     /// Relative share of the episodes that are drawn from it.
     pub weight: f64,
     /// Factor on the weights of all costs in its episodes.
-    #[serde(default = "one", skip_serializing_if = "is_one")]
-    #[serde(rename = "costs_times")]
+    #[serde(rename = "costs_times", default = "one::<f64>", skip_serializing_if = "is_one")]
     pub cost_multiplier: f64,
-}
-
-fn one() -> f64 {
-    1.0
-}
-
-#[expect(clippy::trivially_copy_pass_by_ref, reason = "serde asks so")]
-fn is_one(times: &f64) -> bool {
-    *times == 1.0
 }
 
 /// Random mixture of several spaces.
@@ -71,8 +60,7 @@ impl SpaceMixture {
         let total: f64 = shares.iter().map(|share| share.weight).sum();
         let (mut parts, mut below) = (Vec::<SpaceComponent>::new(), 0.0);
         for (index, TrainingSpace { space: name, weight, cost_multiplier: costs_times }) in shares.iter().enumerate() {
-            let problem =
-                |problem: String| TrainingConfigError::Field { field: format!("spaces[{index}].space"), problem };
+            let problem = |problem| TrainingConfigError::field(format!("spaces[{index}].space"), problem);
             let space = find_space(name).map_err(|error| problem(error.to_string()))?;
             let first =
                 space.draw(0, 0).map_err(|error| problem(format!("`{name}` has no random scenario: {error}")))?;
@@ -94,9 +82,7 @@ impl SpaceMixture {
     pub fn spaces(&self) -> impl Iterator<Item = &ScenarioSpace> {
         self.components.iter().map(|part| &part.space)
     }
-}
 
-impl SpaceMixture {
     fn component_for(&self, seed: u64, index: u64) -> Option<&SpaceComponent> {
         let mut stream =
             random::stream(random::derived_seed(seed, COMPONENT_SEED_INDEX), Purpose::ScenarioSampling, index);
@@ -140,22 +126,17 @@ impl ScenarioSource for SpaceMixture {
 pub(super) fn check_spaces(shares: &[TrainingSpace]) -> Result<(), TrainingConfigError> {
     if shares.len() > MAX_SPACES {
         let problem = format!("must have at most {MAX_SPACES} spaces, found {}", shares.len());
-        return Err(TrainingConfigError::Field { field: "spaces".to_owned(), problem });
+        return Err(TrainingConfigError::field("spaces", problem));
     }
     for (index, TrainingSpace { space, weight, cost_multiplier: costs_times }) in shares.iter().enumerate() {
         check_range(&format!("spaces[{index}].weight"), *weight, WEIGHT_RANGE)?;
         check_range(&format!("spaces[{index}].costs_times"), *costs_times, [0.0, MAX_COST_MULTIPLIER])?;
         if shares.iter().take(index).any(|earlier| earlier.space == *space) {
             let problem = format!("`{space}` is named twice: {ONE_WEIGHT_HINT}");
-            return Err(TrainingConfigError::Field { field: format!("spaces[{index}].space"), problem });
+            return Err(TrainingConfigError::field(format!("spaces[{index}].space"), problem));
         }
     }
     Ok(())
-}
-
-/// Returns the source of these spaces; without any, the paper's distribution.
-pub(super) fn scenario_source(shares: &[TrainingSpace]) -> Result<Arc<dyn ScenarioSource>, TrainingConfigError> {
-    if shares.is_empty() { Ok(Arc::new(PaperSource)) } else { Ok(Arc::new(SpaceMixture::new(shares)?)) }
 }
 
 #[cfg(test)]
@@ -169,12 +150,8 @@ mod tests {
 
     #[test]
     fn each_space_gets_its_share_and_is_drawn_from_as_it_is() {
-        let blend = SpaceMixture::new(&[
-            training_space("traffic", 3.0),
-            training_space("paper", 1.0),
-            training_space("high-risk", 4.0),
-        ])
-        .unwrap();
+        let spaces = [("traffic", 3.0), ("paper", 1.0), ("high-risk", 4.0)];
+        let blend = SpaceMixture::new(&spaces.map(|(space, weight)| training_space(space, weight))).unwrap();
         let mut counts = [0_u32; 3];
         for index in 0..2000 {
             let drawn = blend.draw(7, index).unwrap();
@@ -191,24 +168,23 @@ mod tests {
 
     #[test]
     fn mistakes_are_named() {
-        let refused = |shares: &[TrainingSpace]| SpaceMixture::new(shares).unwrap_err().to_string();
-        let found = refused(&[training_space("paper", 1.0), training_space("nowhere", 1.0)]);
-        assert!(found.starts_with("spaces[1].space: `nowhere` is neither a built-in space"), "{found}");
+        let refused = |shares: &[TrainingSpace], expected: &str| {
+            let found = SpaceMixture::new(shares).unwrap_err().to_string();
+            assert!(found.starts_with(expected), "{found}");
+        };
+        let [paper, steady, nowhere] = ["paper", "steady", "nowhere"].map(|space| training_space(space, 1.0));
+        refused(&[paper.clone(), nowhere], "spaces[1].space: `nowhere` is neither a built-in space");
         for weight in [0.0, -1.0, f64::NAN, f64::INFINITY] {
-            let found = refused(&[training_space("steady", 1.0), training_space("paper", weight)]);
-            assert!(found.starts_with("spaces[1].weight: must be between 0.000001 and 1000000, found "), "{found}");
+            let expected = "spaces[1].weight: must be between 0.000001 and 1000000, found ";
+            refused(&[steady.clone(), training_space("paper", weight)], expected);
         }
-        assert!(
-            refused(&vec![training_space("paper", 1.0); 33])
-                .starts_with("spaces: must have at most 32 spaces, found 33")
-        );
-        for costs_times in [-1.0, f64::NAN, f64::INFINITY, 2.0 * MAX_COST_MULTIPLIER] {
-            let found = refused(&[TrainingSpace { cost_multiplier: costs_times, ..training_space("paper", 1.0) }]);
-            assert!(found.starts_with("spaces[0].costs_times: must be between 0 and 10000, found "), "{found}");
+        refused(&vec![paper.clone(); 33], "spaces: must have at most 32 spaces, found 33");
+        for cost_multiplier in [-1.0, f64::NAN, f64::INFINITY, 2.0 * MAX_COST_MULTIPLIER] {
+            let expected = "spaces[0].costs_times: must be between 0 and 10000, found ";
+            refused(&[TrainingSpace { cost_multiplier, ..paper.clone() }], expected);
         }
-        let found =
-            refused(&[training_space("paper", 1.0), training_space("steady", 1.0), training_space("paper", 2.0)]);
-        assert_eq!(found, "spaces[2].space: `paper` is named twice: give it one weight");
+        let twice = [paper.clone(), steady, training_space("paper", 2.0)];
+        refused(&twice, "spaces[2].space: `paper` is named twice: give it one weight");
     }
 
     #[test]

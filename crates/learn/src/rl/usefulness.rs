@@ -43,7 +43,6 @@ pub struct TrafficUsefulness {
 
 impl TrafficUsefulness {
     /// Returns the share of faulty drives, plus a small penalty for discomfort and for an unusual time gap. 0 is best.
-    #[must_use]
     pub(crate) fn penalty(&self) -> f64 {
         let [closest_s, furthest_s] = TIME_GAP_RANGE_S;
         let off_s = (closest_s - self.mean_time_gap_s).max(self.mean_time_gap_s - furthest_s).max(0.0);
@@ -69,73 +68,50 @@ impl TrafficBenchmark {
         let draws =
             space.iter().flat_map(|space| (0..draws).filter_map(|index| space.draw(seed, index).ok())).collect();
         let mut traffic = Self { draws, estimator, idm_rms: [1.0; 2] };
-        let idm = traffic.simulate(&ControllerKind::from(ControllerSpec::Idm(Default::default())))?;
-        traffic.idm_rms = idm.rms();
+        let idm = traffic.evaluate(&ControllerKind::from(ControllerSpec::Idm(Default::default())))?;
+        traffic.idm_rms = [idm.acceleration_times_idm, idm.jerk_times_idm];
         Ok(traffic)
     }
 
     pub(super) fn evaluate(&self, controller: &ControllerKind) -> Result<TrafficUsefulness, RunError> {
-        let sums = self.simulate(controller)?;
-        let ([acceleration, jerk], [idm_acceleration, idm_jerk]) = (sums.rms(), self.idm_rms);
-        Ok(TrafficUsefulness {
-            scenario_count: sums.scenario_count,
-            contacts: sums.contacts,
-            hard_braking: sums.hard_braking,
-            fell_behind: sums.fell_behind,
-            acceleration_times_idm: acceleration / idm_acceleration.max(f64::MIN_POSITIVE),
-            jerk_times_idm: jerk / idm_jerk.max(f64::MIN_POSITIVE),
-            mean_time_gap_s: sums.time_gap_sum_s / sums.moving_drives.max(1) as f64,
-        })
-    }
-
-    fn simulate(&self, controller: &ControllerKind) -> Result<TrafficTotals, RunError> {
         let options = RunOptions::new(controller.clone()).with_estimator(self.estimator);
         let runs =
             self.draws.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
         let each = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
             (result.outcome.contact().is_some(), measure_usefulness(&result))
         });
-        let mut sums = TrafficTotals::default();
-        each.into_iter().for_each(|(collided, found)| sums.add(collided, found));
-        Ok(sums)
+        let (mut contacts, mut hard_braking, mut fell_behind, mut moving_drives) = (0, 0, 0, 0_u64);
+        let (mut sum_squares, mut time_gap_sum_s) = ([0.0; 2], 0.0);
+        for (collided, found) in each {
+            contacts += u64::from(collided);
+            let Some(found) = found else { continue };
+            hard_braking += u64::from(!found.hard.is_empty());
+            sum_squares[0] += found.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
+            sum_squares[1] += found.rms_jerk_mps3.unwrap_or(0.0).powi(2);
+            let Some(following) = found.following else { continue };
+            fell_behind += u64::from(following.fell_behind);
+            if let Some(time_gap_s) = following.mean_time_gap_s {
+                time_gap_sum_s += time_gap_s;
+                moving_drives += 1;
+            }
+        }
+        let [acceleration, jerk] = sum_squares.map(|sum: f64| (sum / runs.len().max(1) as f64).sqrt());
+        let [idm_acceleration, idm_jerk] = self.idm_rms;
+        Ok(TrafficUsefulness {
+            scenario_count: runs.len() as u64,
+            contacts,
+            hard_braking,
+            fell_behind,
+            acceleration_times_idm: acceleration / idm_acceleration.max(f64::MIN_POSITIVE),
+            jerk_times_idm: jerk / idm_jerk.max(f64::MIN_POSITIVE),
+            mean_time_gap_s: time_gap_sum_s / moving_drives.max(1) as f64,
+        })
     }
 }
 
 /// Measures the usefulness of a run; none without its trace.
 pub(crate) fn measure_usefulness(result: &SimulationResult) -> Option<UsefulnessMeasures> {
     UsefulnessMeasures::from_trace(result.trace.as_ref()?, &result.impacts, EGO)
-}
-
-#[derive(Default)]
-struct TrafficTotals {
-    scenario_count: u64,
-    contacts: u64,
-    hard_braking: u64,
-    fell_behind: u64,
-    sum_squares: [f64; 2],
-    time_gap_sum_s: f64,
-    moving_drives: u64,
-}
-
-impl TrafficTotals {
-    fn add(&mut self, collided: bool, found: Option<UsefulnessMeasures>) {
-        self.scenario_count += 1;
-        self.contacts += u64::from(collided);
-        let Some(found) = found else { return };
-        self.hard_braking += u64::from(!found.hard.is_empty());
-        self.sum_squares[0] += found.rms_acceleration_mps2.unwrap_or(0.0).powi(2);
-        self.sum_squares[1] += found.rms_jerk_mps3.unwrap_or(0.0).powi(2);
-        let Some(following) = found.following else { return };
-        self.fell_behind += u64::from(following.fell_behind);
-        if let Some(time_gap_s) = following.mean_time_gap_s {
-            self.time_gap_sum_s += time_gap_s;
-            self.moving_drives += 1;
-        }
-    }
-
-    fn rms(&self) -> [f64; 2] {
-        self.sum_squares.map(|sum| (sum / self.scenario_count.max(1) as f64).sqrt())
-    }
 }
 
 #[cfg(test)]

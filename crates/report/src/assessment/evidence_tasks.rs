@@ -6,7 +6,7 @@ use super::avoidance::CertifiedAvoidance;
 use super::gather_context::GatherContext;
 use super::parts::{
     FailureMaps, FailureSearch, FileScenarios, PaperScenarios, SpaceSample, SpecificationSearchPlan, UsefulnessReport,
-    WorstProfile, WorstProfiles, count_one, counted_names, run_suite,
+    WorstProfile, WorstProfiles, planned_rate_counts, run_suite,
 };
 use super::{AssessError, AssessmentPlan};
 use crumple_core::digest::sha256;
@@ -36,43 +36,41 @@ pub(super) fn evidence_tasks<'p>(plan: &'p AssessmentPlan) -> Result<Vec<Evidenc
         add(name, Box::new(move |work| Ok(CertifiedAvoidance::load_or_compute(&scenario, work).map(drop)?)));
     }
     for named in &plan.rate_spaces {
-        add(format!("draws of {}", named.name), Box::new(move |work| SpaceSample::gather(plan, named, work).map(drop)));
+        add(format!("draws of {}", named.name), Box::new(move |work| SpaceSample::gather(named, work).map(drop)));
     }
     if !plan.file_scenarios.is_empty() {
-        add("scenarios from files".to_owned(), Box::new(move |work| FileScenarios::gather(plan, work).map(drop)));
+        add("scenarios from files".to_owned(), Box::new(move |work| FileScenarios::gather(work).map(drop)));
     }
     for named in &plan.search_spaces {
         for one in plan.controllers.iter().enumerate() {
             let name = format!("search {} in {}", one.1.name, named.name);
-            add(name, Box::new(move |work| FailureSearch::gather(plan, named, one, work).map(drop)));
+            add(name, Box::new(move |work| FailureSearch::gather(named, one, work).map(drop)));
         }
     }
     if let Some((scenario, envelope)) = WorstProfiles::scenario(plan)? {
         for controller in &plan.controllers {
             let (name, scenario) = (format!("worst profile against {}", controller.name), scenario.clone());
-            add(
-                name,
-                Box::new(move |work| WorstProfile::gather(plan, (&scenario, envelope), controller, work).map(drop)),
-            );
+            let gather =
+                move |work: &GatherContext<'_>| WorstProfile::gather((&scenario, envelope), controller, work).map(drop);
+            add(name, Box::new(gather));
         }
     }
     if plan.config.paper {
-        add("failure maps".to_owned(), Box::new(move |work| FailureMaps::gather(plan, work).map(drop)));
+        add("failure maps".to_owned(), Box::new(move |work| FailureMaps::gather(work).map(drop)));
     }
     if plan.config.everyday_draws > 0 {
-        add("usefulness".to_owned(), Box::new(move |work| UsefulnessReport::gather(plan, work).map(drop)));
+        add("usefulness".to_owned(), Box::new(move |work| UsefulnessReport::gather(work).map(drop)));
     }
-    for name in counted_names(plan) {
-        add(format!("count {name}"), Box::new(move |work| count_one(plan, &name, work)));
+    for counted in planned_rate_counts(plan) {
+        let name = format!("count {}", counted.name);
+        add(name, Box::new(move |work| counted.clone().gather(work).map(drop)));
     }
     for searched in SpecificationSearchPlan::from_plan(plan) {
-        add(searched.name(), Box::new(move |work| searched.gather(plan, work).map(drop)));
+        add(searched.name(), Box::new(move |work| searched.gather(work).map(drop)));
     }
     for planned in &plan.suites {
-        add(
-            format!("suite {}", planned.content_id.name),
-            Box::new(move |work| run_suite(plan, planned, work).map(drop)),
-        );
+        let name = format!("suite {}", planned.content_id.name);
+        add(name, Box::new(move |work| run_suite(planned, work).map(drop)));
     }
     all.sort_by_cached_key(|piece| sha256(&piece.name));
     Ok(all)

@@ -1,9 +1,6 @@
 //! Gates: the conditions of an assessment to pass.
 
-use std::convert::Infallible;
-
-use serde::de::Error;
-use serde::{Deserialize, Deserializer, Serialize};
+use serde::{Deserialize, Serialize};
 
 use super::claims::{AssuranceClaim, Domain, Property, Strength};
 use super::parts::EVERYDAY_SPACES;
@@ -12,6 +9,7 @@ use super::{
     ControllerUsefulness, Rounded,
 };
 use crumple_search::falsify::counterexample::AvoidabilityClass;
+use crumple_world::scenario::file::FileError;
 use crumple_world::sim::FailedControllerRuns;
 
 /// A condition that must hold for an assessment to pass.
@@ -96,20 +94,23 @@ pub enum AssessmentGate {
     ProofsAccepted {},
     /// The assessment is compared with an earlier one, and no result is worse.
     NothingWorse {},
-    /// A former name, which a configuration may no longer use.
-    #[doc(hidden)]
-    #[cfg_attr(feature = "schema", schemars(skip))]
-    #[serde(rename = "no-contact-in-traffic", skip_serializing, deserialize_with = "refuse_former_name")]
-    NoContactInTraffic(Infallible),
 }
 
-fn refuse_former_name<'de, D: Deserializer<'de>>(_: D) -> Result<Infallible, D::Error> {
-    Err(D::Error::custom(
-        "`no-contact-in-traffic` is now called `no-collision-in-scenario-files`, because it evaluates only `scenarios` \
-         and `recordings`; for random scenarios of the space `traffic`, use `no-collision-in-space` with `space = \
-         \"traffic\"`",
-    ))
+/// Replaces the message about the former name of a gate, which a configuration may no longer use.
+pub(super) fn explain_former_name(error: FileError) -> FileError {
+    match error {
+        FileError::Syntax { path, line, message } => {
+            let place = message.split_once("unknown variant `no-contact-in-traffic`").map(|(place, _)| place);
+            let message = place.map_or_else(|| message.clone(), |place| format!("{place}{FORMER_NAME}"));
+            FileError::Syntax { path, line, message }
+        }
+        other => other,
+    }
 }
+
+const FORMER_NAME: &str = "`no-contact-in-traffic` is now called `no-collision-in-scenario-files`, because it \
+    evaluates only `scenarios` and `recordings`; for random scenarios of the space `traffic`, use \
+    `no-collision-in-space` with `space = \"traffic\"`";
 
 /// Counts of the random scenarios of a space, under one controller.
 pub(super) struct SpaceTally {
@@ -149,7 +150,6 @@ impl AssessmentGate {
             | Self::SuitePassed { controller, .. }
             | Self::NoAvoidableFailure { controller, .. } => vec![("controller", controller)],
             Self::ProofsAccepted {} | Self::NothingWorse {} => Vec::new(),
-            Self::NoContactInTraffic(never) => match *never {},
         }
     }
 
@@ -213,7 +213,6 @@ impl AssessmentGate {
             Self::SuitePassed { controller, suite } => check_suite_passed(plan, found, controller, suite),
             Self::ProofsAccepted {} => check_proofs_accepted(found),
             Self::NothingWorse {} => check_nothing_worse(found.comparison.as_ref()),
-            Self::NoContactInTraffic(never) => match *never {},
         };
         GateResult { gate: self.describe(plan), holds, reason }
     }
@@ -254,7 +253,6 @@ impl AssessmentGate {
             }
             Self::ProofsAccepted {} => "the checker accepts every certificate".to_owned(),
             Self::NothingWorse {} => "no result is worse than in the earlier assessment".to_owned(),
-            Self::NoContactInTraffic(never) => match *never {},
         }
     }
 }
@@ -331,11 +329,8 @@ fn check_rate_at_most(
     };
     // Round the required rate down, never in favour of the controller.
     let property = Property::RateAtMost { percent: Rounded::down(percent) };
-    let status = found.evidence.claim_status(&AssuranceClaim {
-        subject,
-        property,
-        domain: Domain::Space { space: named.content_id.clone() },
-    });
+    let domain = Domain::Space { space: named.content_id.clone() };
+    let status = found.evidence.claim_status(&AssuranceClaim { subject, property, domain });
     (matches!(status.strength, Strength::Bounded { .. }), status.describe())
 }
 
@@ -407,9 +402,8 @@ fn check_drives_at_most(
     // The result of a drive without an answer is unknown: count it as the worse.
     let [unanswered, _] = useful.unanswered_runs();
     let share = 100.0 * (count(useful) + unanswered) as f64 / all.random_scenarios as f64;
-    let words = useful.unanswered[0]
-        .as_ref()
-        .map_or(String::new(), |unanswered| format!("; {}", unanswered.describe(all.random_scenarios)));
+    let describe = |unanswered: &FailedControllerRuns| format!("; {}", unanswered.describe(all.random_scenarios));
+    let words = useful.unanswered[0].as_ref().map_or(String::new(), describe);
     (share <= percent, format!("{} of {} drives{words}", count(useful), all.random_scenarios))
 }
 

@@ -3,36 +3,30 @@
 use serde::Serialize;
 use serde::de::DeserializeOwned;
 
-use super::AssessError;
 use super::cache::EvidenceCache;
+use super::{AssessError, AssessmentPlan};
 use crumple_core::observer::ProgressCounter;
 use crumple_world::sim::NamedController;
 
-/// The cache, the progress counter and the controllers of evidence that is being gathered.
+/// The plan, the cache and the progress counter of evidence that is being gathered.
 pub(super) struct GatherContext<'a> {
+    pub(super) plan: &'a AssessmentPlan,
     pub(super) cache: &'a EvidenceCache,
     runs: ProgressCounter<'a>,
-    controllers: &'a [NamedController],
 }
 
 impl<'a> GatherContext<'a> {
-    pub(super) fn new(cache: &'a EvidenceCache, runs: ProgressCounter<'a>) -> Self {
-        Self { cache, runs, controllers: &[] }
-    }
-
-    /// Sets the controllers of the runs. Evidence of a controller that is refused meanwhile is neither cached nor
-    /// reported.
-    pub(super) fn with_controllers(self, controllers: &'a [NamedController]) -> Self {
-        Self { controllers, ..self }
+    pub(super) fn new(plan: &'a AssessmentPlan, cache: &'a EvidenceCache, runs: ProgressCounter<'a>) -> Self {
+        Self { plan, cache, runs }
     }
 
     /// Fails if a controller contradicted itself or can no longer be started.
     pub(super) fn ensure_all_trusted(&self) -> Result<(), AssessError> {
-        Ok(self.controllers.iter().try_for_each(NamedController::ensure_trusted)?)
+        Ok(self.plan.controllers.iter().try_for_each(NamedController::ensure_trusted)?)
     }
 
     /// Calls [`EvidenceCache::get_or_gather`], but caches nothing if the observer stops the assessment: runs may be
-    /// incomplete.
+    /// incomplete. Nor is evidence of a controller that is refused meanwhile cached or reported.
     pub(super) fn get_or_gather<T: Serialize + DeserializeOwned>(
         &self,
         name: &str,

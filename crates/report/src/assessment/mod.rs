@@ -222,20 +222,19 @@ pub fn assess(
 ) -> Result<AssessmentReport, AssessError> {
     let disabled = EvidenceCache::disabled();
     let cache = if plan.first_without_identity().is_none() { cache } else { &disabled };
-    let work = GatherContext::new(cache, ProgressCounter::new(observer, Some(plan.runs())))
-        .with_controllers(&plan.controllers);
-    let paper_scenarios = PaperScenarios::gather(plan, &work)?;
-    let rate_spaces = SpaceSamples::gather(plan, &work)?;
-    let traffic = FileScenarios::gather(plan, &work)?;
-    let suites = Suites::gather(plan, &work)?;
-    let searches = FailureSearches::gather(plan, &work)?;
-    let rules = SpecificationSearches::gather(plan, &work)?;
-    let worst_profiles = WorstProfiles::gather(plan, &work)?;
-    let failure_maps = FailureMaps::gather(plan, &work)?;
-    let usefulness = UsefulnessReport::gather(plan, &work)?;
+    let work = GatherContext::new(plan, cache, ProgressCounter::new(observer, Some(plan.runs())));
+    let paper_scenarios = PaperScenarios::gather(&work)?;
+    let rate_spaces = SpaceSamples::gather(&work)?;
+    let traffic = FileScenarios::gather(&work)?;
+    let suites = Suites::gather(&work)?;
+    let searches = FailureSearches::gather(&work)?;
+    let rules = SpecificationSearches::gather(&work)?;
+    let worst_profiles = WorstProfiles::gather(&work)?;
+    let failure_maps = FailureMaps::gather(&work)?;
+    let usefulness = UsefulnessReport::gather(&work)?;
     let scenarios = paper_scenarios.iter().flat_map(|paper| &paper.scenarios);
     let scenarios = scenarios.chain(traffic.iter().flat_map(|traffic| &traffic.scenarios));
-    let proofs = Proofs::gather(plan, &work, scenarios)?;
+    let proofs = Proofs::gather(&work, scenarios)?;
     work.ensure_all_trusted()?;
     let limits = AssessmentLimits::new(plan);
     let found = GatheredEvidence {
@@ -368,8 +367,8 @@ impl AssessmentReport {
     /// Returns every file of the report, with its path relative to the report folder.
     ///
     /// # Errors
-    /// [`RenderError`] in principle, if a writer fails.
-    pub fn files(&self) -> Result<Vec<(String, Vec<u8>)>, RenderError> {
+    /// None in practice; an error of the serializer is passed on.
+    pub fn files(&self) -> Result<Vec<(String, Vec<u8>)>, serde_json::Error> {
         let mut texts = vec![
             ("assessment.html".to_owned(), self.to_html()),
             ("assessment.md".to_owned(), self.to_markdown()),
@@ -378,12 +377,8 @@ impl AssessmentReport {
             ("assessment.gsn.yaml".to_owned(), self.argument.to_yaml()),
             ("replay.sh".to_owned(), commands::replay_script(self.commands())),
         ];
-        texts.extend(
-            self.paper_scenarios
-                .iter()
-                .flat_map(PaperScenarios::figure_files)
-                .map(|(name, svg)| (name, svg.document())),
-        );
+        let figures = self.paper_scenarios.iter().flat_map(PaperScenarios::figure_files);
+        texts.extend(figures.map(|(name, svg)| (name, svg.document())));
         texts.extend(self.proofs.certificates.iter().map(|proof| (proof.file.clone(), proof.text.clone())));
         let texts = texts.into_iter().map(|(name, text)| (name, text.into_bytes()));
         let needed = self.command_files.iter().map(|needed| (needed.file.clone(), needed.contents.clone()));
@@ -413,12 +408,3 @@ pub const REPORT_KIND: &str = "report of an assessment";
 
 /// Subfolders of a report whose files may differ between reports.
 pub const REPORT_FOLDERS: [&str; 5] = ["counterexamples/", "certificates/", "controllers/", "spaces/", "scenarios/"];
-
-/// An error of rendering a report.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum RenderError {
-    /// The JSON cannot be written.
-    #[error(transparent)]
-    Json(#[from] serde_json::Error),
-}

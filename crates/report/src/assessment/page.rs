@@ -5,17 +5,17 @@ use maud::{DOCTYPE, Markup, PreEscaped, html};
 use super::markdown::Markdown;
 use super::{AssessmentReport, ReportPart};
 use crate::units::insert_nbsp_before_units;
-use crate::{PAGE_STYLE, draw};
+use crate::{draw, html_head};
 use crumple_core::quoting::TerminalLines;
 
 const TITLE: &str = "Crash test of longitudinal driving controllers";
 
 pub(super) fn render_html(assessment: &AssessmentReport) -> String {
     let (parts, appendix) = (assessment.parts(), assessment.appendix());
-    let page: Markup = html! {
+    let page = html! {
         (DOCTYPE)
         html lang="en" {
-            (html_head(assessment))
+            (html_head(TITLE, draw::ANIMATION_STYLE))
             body {
                 header {
                     p.kicker { "crumple " (assessment.provenance.crumple) }
@@ -27,16 +27,8 @@ pub(super) fn render_html(assessment: &AssessmentReport) -> String {
                     }
                 }
                 main {
-                    @for part in &parts {
-                        section id=(part.anchor_and_title().0) { h2 { (part.anchor_and_title().1) } (part.to_html()) }
-                    }
-                    div.appendix {
-                        h1 { "Appendix" }
-                        @for part in &appendix {
-                            @let (id, title) = part.anchor_and_title();
-                            section id=(id) { h2 { (title) } (part.to_html()) }
-                        }
-                    }
+                    (sections(&parts))
+                    div.appendix { h1 { "Appendix" } (sections(&appendix)) }
                 }
                 script { (PreEscaped(draw::ANIMATION_SCRIPT)) }
             }
@@ -46,24 +38,24 @@ pub(super) fn render_html(assessment: &AssessmentReport) -> String {
     insert_nbsp_before_units(&TerminalLines(&page.into_string()).to_string())
 }
 
+fn sections(parts: &[&dyn ReportPart]) -> Markup {
+    html! {
+        @for part in parts {
+            @let (id, title) = part.anchor_and_title();
+            section id=(id) { h2 { (title) } (part.to_html()) }
+        }
+    }
+}
+
 pub(super) fn render_first_page(assessment: &AssessmentReport) -> String {
     let page = html! {
         (DOCTYPE)
-        html lang="en" { (html_head(assessment)) body { main { section { (assessment.first_page.to_html()) } } } }
+        html lang="en" {
+            (html_head(TITLE, draw::ANIMATION_STYLE))
+            body { main { section { (assessment.first_page.to_html()) } } }
+        }
     };
     insert_nbsp_before_units(&TerminalLines(&page.into_string()).to_string())
-}
-
-fn html_head(assessment: &AssessmentReport) -> Markup {
-    html! {
-        head {
-            meta charset="utf-8";
-            meta name="viewport" content="width=device-width, initial-scale=1";
-            meta name="generator" content={ "crumple " (assessment.provenance.crumple) };
-            title { (TITLE) }
-            style { (PreEscaped(PAGE_STYLE)) (PreEscaped(draw::STYLE)) (PreEscaped(draw::ANIMATION_STYLE)) }
-        }
-    }
 }
 
 pub(super) fn render_markdown(assessment: &AssessmentReport) -> String {

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use super::claims::{ContentId, Subject};
 use super::config::{AssessConfig, AssessConfigError, CONFIG_VERSION};
-use super::gate::AssessmentGate;
+use super::gate::{AssessmentGate, explain_former_name};
 use super::parts;
 use super::planned_suite::PlannedSuite;
 use crumple_core::digest::sha256;
@@ -96,19 +96,16 @@ impl AssessmentPlan {
         let known = |names: &[String]| {
             names.iter().filter_map(|name| NamedSpace::new(name, built_in_space(name)?).ok()).collect::<Vec<_>>()
         };
-        let (rate_spaces, search_spaces) = (known(&config.rate_spaces()), known(&config.search_spaces()));
-        let (subject, certificates) = (default_subject(&controllers), shipped_certificates(&controllers));
-        let (traffic, left_out, suites) = (Vec::new(), Vec::new(), Vec::new());
         Self {
-            subject_index: subject,
+            subject_index: default_subject(&controllers),
+            file_scenarios: Vec::new(),
+            left_out: Vec::new(),
+            suites: Vec::new(),
+            rate_spaces: known(&config.rate_spaces()),
+            search_spaces: known(&config.search_spaces()),
+            certificates: shipped_certificates(&controllers),
             config,
             controllers,
-            file_scenarios: traffic,
-            left_out,
-            suites,
-            rate_spaces,
-            search_spaces,
-            certificates,
         }
     }
 
@@ -139,7 +136,7 @@ impl AssessmentPlan {
     /// [`AssessConfigError`] for a file that cannot be read or parsed, or is invalid.
     pub fn load(path: &Path) -> Result<Self, AssessConfigError> {
         let text = file::read(path)?;
-        let config: AssessConfig = file::parse_toml(&text, path)?;
+        let config: AssessConfig = file::parse_toml(&text, path).map_err(explain_former_name)?;
         let loading = PlanLoader { path, text: &text, folder: path.parent().unwrap_or(Path::new("")) };
         let controllers = loading.load_controllers(&config)?;
         loading.build_plan(config, controllers)
@@ -236,7 +233,7 @@ fn shipped_certificates(controllers: &[NamedController]) -> Vec<GivenCertificate
     SHIPPED_CERTIFICATES.iter().filter_map(given).collect()
 }
 
-fn not_among_controllers(name: &str) -> String {
+pub(super) fn not_among_controllers(name: &str) -> String {
     format!("`{name}` is not among `controllers`")
 }
 
@@ -256,6 +253,10 @@ impl PlanLoader<'_> {
         }
     }
 
+    fn ensure(&self, holds: bool, field: &str, problem: impl FnOnce() -> String) -> Result<(), AssessConfigError> {
+        if holds { Ok(()) } else { Err(self.field_error(field, problem())) }
+    }
+
     fn build_plan(
         &self,
         mut config: AssessConfig,
@@ -269,7 +270,7 @@ impl PlanLoader<'_> {
             }
             controllers.iter().position(|controller| controller.name == *name)
         };
-        let subject = match &mut config.subject {
+        let subject_index = match &mut config.subject {
             None => default_subject(&controllers),
             Some(name) => place_of(name).ok_or_else(|| self.field_error("subject", not_among_controllers(name)))?,
         };
@@ -287,7 +288,7 @@ impl PlanLoader<'_> {
             }
         }
         let ImportResult { scenarios: recorded, dropped: left_out, .. } = self.import_recordings(&config)?;
-        let traffic = self.load_scenarios(&config, recorded)?;
+        let file_scenarios = self.load_scenarios(&config, recorded)?;
         let search_spaces = self.load_spaces("search.spaces", &config.search_spaces())?;
         let rate_spaces = self.load_spaces("distributions", &config.rate_spaces())?;
         self.normalize_specifications(&mut config.search.specifications, &search_spaces)?;
@@ -296,19 +297,16 @@ impl PlanLoader<'_> {
                 .iter()
                 .any(|other| one.space.name() == other.space.name() && one.content_id != other.content_id)
         });
-        if let Some(one) = clash {
-            let problem = format!(
-                "the name `{}` belongs to another space in `search.spaces`; rename one of them",
-                one.space.name()
-            );
+        if let Some(one) = clash.map(|one| one.space.name()) {
+            let problem = format!("the name `{one}` belongs to another space in `search.spaces`; rename one of them");
             return Err(self.field_error("distributions", problem));
         }
         let given = config.certificates.clone();
         let mut plan = AssessmentPlan {
             config,
             controllers,
-            subject_index: subject,
-            file_scenarios: traffic,
+            subject_index,
+            file_scenarios,
             left_out,
             suites,
             rate_spaces,
@@ -351,43 +349,32 @@ impl PlanLoader<'_> {
         field: &str,
         controller: NamedController,
     ) -> Result<(), AssessConfigError> {
-        if controllers.iter().any(|known| known.name == controller.name) {
-            return Err(self.field_error(field, format!("`{}` appears twice; remove one", controller.name)));
-        }
+        let is_new = controllers.iter().all(|known| known.name != controller.name);
+        self.ensure(is_new, field, || format!("`{}` appears twice; remove one", controller.name))?;
         controllers.push(controller);
         Ok(())
     }
 
     fn check_numbers(&self, config: &AssessConfig) -> Result<(), AssessConfigError> {
-        if config.version != CONFIG_VERSION {
-            let problem = format!("version {} is not supported: this release reads {CONFIG_VERSION}", config.version);
-            return Err(self.field_error("version", problem));
-        }
+        self.ensure(config.version == CONFIG_VERSION, "version", || {
+            format!("version {} is not supported: this release reads {CONFIG_VERSION}", config.version)
+        })?;
         for (field, draws) in [("draws", config.draws), ("everyday_draws", config.everyday_draws)] {
-            if draws > MAX_DRAWS {
-                return Err(self.field_error(field, format!("must be at most {MAX_DRAWS}, found {draws}")));
-            }
+            self.ensure(draws <= MAX_DRAWS, field, || format!("must be at most {MAX_DRAWS}, found {draws}"))?;
         }
         let (budget, runs) = (config.search.budget, config.rates.runs);
-        if !(1..=MAX_EVALUATIONS).contains(&budget) {
-            return Err(
-                self.field_error("search.budget", format!("must be from 1 to {MAX_EVALUATIONS}, found {budget}"))
-            );
-        }
-        if runs > MAX_DRAWS {
-            return Err(self.field_error("rates.runs", format!("must be at most {MAX_DRAWS}, found {runs}")));
-        }
+        self.ensure((1..=MAX_EVALUATIONS).contains(&budget), "search.budget", || {
+            format!("must be from 1 to {MAX_EVALUATIONS}, found {budget}")
+        })?;
+        self.ensure(runs <= MAX_DRAWS, "rates.runs", || format!("must be at most {MAX_DRAWS}, found {runs}"))?;
         let confidence = config.rates.confidence;
-        if !(confidence > 0.5 && confidence < 1.0) {
-            return Err(self.field_error("rates.confidence", format!("must be between 0.5 and 1, found {confidence}")));
-        }
-        Ok(())
+        self.ensure(confidence > 0.5 && confidence < 1.0, "rates.confidence", || {
+            format!("must be between 0.5 and 1, found {confidence}")
+        })
     }
 
     fn load_controllers(&self, config: &AssessConfig) -> Result<Vec<NamedController>, AssessConfigError> {
-        if config.controllers.is_empty() {
-            return Err(self.field_error("controllers", "must name at least one controller".to_owned()));
-        }
+        self.ensure(!config.controllers.is_empty(), "controllers", || "must name at least one controller".to_owned())?;
         let mut controllers = Vec::new();
         for (index, name) in config.controllers.iter().enumerate() {
             let field = format!("controllers[{index}]");
@@ -420,14 +407,9 @@ impl PlanLoader<'_> {
         for (index, named) in config.scenarios.iter().enumerate() {
             let field = format!("scenarios[{index}]");
             let at = self.folder.join(named);
-            if !at.exists() {
-                return Err(self.field_error(&field, format!("{} does not exist", at.display())));
-            }
+            self.ensure(at.exists(), &field, || format!("{} does not exist", at.display()))?;
             let found = file::load_all(&at)?;
-            if found.is_empty() {
-                let problem = format!("the folder {} has no scenario file", named.display());
-                return Err(self.field_error(&field, problem));
-            }
+            self.ensure(!found.is_empty(), &field, || format!("the folder {} has no scenario file", named.display()))?;
             let untested = found.iter().find(|(_, scenario)| !scenario.has_vehicle_under_test());
             if let Some((path, _)) = untested {
                 return Err(self.field_error(&field, format!("{}: no vehicle is under test", path.display())));
@@ -438,11 +420,9 @@ impl PlanLoader<'_> {
         let mut names: Vec<_> = built_in_scenario_names().iter().map(|(name, _)| (*name).to_owned()).collect();
         for (found_at, scenario) in &traffic {
             let name = &scenario.spec().name;
-            if names.contains(name) {
-                let problem =
-                    format!("{}: another scenario has the name `{name}`; rename one of them", found_at.display());
-                return Err(self.field_error("scenarios", problem));
-            }
+            self.ensure(!names.contains(name), "scenarios", || {
+                format!("{}: another scenario has the name `{name}`; rename one of them", found_at.display())
+            })?;
             names.push(name.clone());
         }
         Ok(traffic)
@@ -452,39 +432,29 @@ impl PlanLoader<'_> {
         let mut spaces: Vec<NamedSpace> = Vec::new();
         for (index, name) in names.iter().enumerate() {
             let field = format!("{list}[{index}]");
+            let wrong = |problem: String| self.field_error(&field, problem);
             let space = match built_in_space(name) {
                 Some(space) => space,
                 None if name.ends_with(".toml") => {
-                    let loaded = space_file::load(&self.folder.join(name));
-                    loaded.map_err(|error| self.field_error(&field, error.to_string()))?
+                    space_file::load(&self.folder.join(name)).map_err(|error| wrong(error.to_string()))?
                 }
-                None => {
-                    let problem = format!("`{name}` is neither a built-in space nor a .toml file");
-                    return Err(self.field_error(&field, problem));
-                }
+                None => return Err(wrong(format!("`{name}` is neither a built-in space nor a .toml file"))),
             };
             let nominal = space.scenario(&space.nominal());
-            let nominal = nominal.map_err(|error| {
-                self.field_error(&field, format!("{name}: the nominal scenario is invalid: {error}"))
+            let nominal =
+                nominal.map_err(|error| wrong(format!("{name}: the nominal scenario is invalid: {error}")))?;
+            let is_tested = nominal.has_vehicle_under_test();
+            self.ensure(is_tested, &field, || format!("{name}: no vehicle is under test"))?;
+            let is_new = spaces.iter().all(|known| known.space.name() != space.name());
+            self.ensure(is_new, &field, || {
+                format!("another space has the name `{}`; rename one of them", space.name())
             })?;
-            if !nominal.has_vehicle_under_test() {
-                return Err(self.field_error(&field, format!("{name}: no vehicle is under test")));
-            }
-            if spaces.iter().any(|known| known.space.name() == space.name()) {
-                return Err(self.field_error(
-                    &field,
-                    format!("another space has the name `{}`; rename one of them", space.name()),
-                ));
-            }
-            let named = NamedSpace::new(name, space).map_err(|error| self.field_error(&field, error.to_string()))?;
-            let built_in = built_in_space(named.space.name()).and_then(|known| space_file::to_toml(&known).ok());
-            if built_in.is_some_and(|built_in| built_in != named.text) {
-                let problem = format!(
-                    "a built-in space with other contents has the name `{}`; rename this one",
-                    named.space.name()
-                );
-                return Err(self.field_error(&field, problem));
-            }
+            let named = NamedSpace::new(name, space).map_err(|error| wrong(error.to_string()))?;
+            let own = named.space.name();
+            let built_in = built_in_space(own).and_then(|known| space_file::to_toml(&known).ok());
+            self.ensure(built_in.is_none_or(|built_in| built_in == named.text), &field, || {
+                format!("a built-in space with other contents has the name `{own}`; rename this one")
+            })?;
             spaces.push(named);
         }
         Ok(spaces)
@@ -499,22 +469,16 @@ impl PlanLoader<'_> {
         for (index, path) in paths.iter().enumerate() {
             let field = format!("certificates[{index}]");
             let at = self.folder.join(path);
-            let text = fs::read_to_string(&at)
-                .map_err(|error| self.field_error(&field, format!("{}: {error}", at.display())))?;
-            let certificate = Certificate::from_json(&text)
-                .map_err(|error| self.field_error(&field, format!("{}: {error}", at.display())))?;
+            let wrong = |error: String| self.field_error(&field, format!("{}: {error}", at.display()));
+            let text = fs::read_to_string(&at).map_err(|error| wrong(error.to_string()))?;
+            let certificate = Certificate::from_json(&text).map_err(|error| wrong(error.to_string()))?;
             let name = at.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
-            if made_here.contains(&name) {
-                return Err(self.field_error(
-                    &field,
-                    format!("this assessment writes a certificate with the name `{name}`; rename the file"),
-                ));
-            }
-            if given.iter().any(|known| known.name == name) {
-                return Err(
-                    self.field_error(&field, format!("another certificate has the name `{name}`; rename the file"))
-                );
-            }
+            self.ensure(!made_here.contains(&name), &field, || {
+                format!("this assessment writes a certificate with the name `{name}`; rename the file")
+            })?;
+            self.ensure(given.iter().all(|known| known.name != name), &field, || {
+                format!("another certificate has the name `{name}`; rename the file")
+            })?;
             let policy = certificate.read_policy(&at, None).or_else(|| Some(Policy::reference_bytes().to_vec()));
             given.push(GivenCertificate { name, certificate, policy });
         }

@@ -6,6 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::AssessConfig;
 use super::claims::ContentId;
+use super::plan::not_among_controllers;
 use crumple_suites::{SHIPPED_SUITES, TestSuite};
 use crumple_world::sim::NamedController;
 
@@ -54,38 +55,25 @@ impl PlannedSuite {
             if planned.iter().any(|known| known.suite.spec().name == suite.spec().name) {
                 return Err((field, format!("another suite has the name `{}`; rename one of them", suite.spec().name)));
             }
-            let mut tested = match &mut asked.controllers {
+            let mut controller_indices: Vec<_> = match &mut asked.controllers {
                 None => (0..controllers.len()).collect(),
                 Some(names) if names.is_empty() => {
-                    return Err((
-                        format!("suites[{index}].controllers"),
-                        "must name at least one controller".to_owned(),
-                    ));
+                    let problem = "must name at least one controller".to_owned();
+                    return Err((format!("suites[{index}].controllers"), problem));
                 }
                 Some(names) => {
-                    let mut places = Vec::new();
-                    for (place, name) in names.iter_mut().enumerate() {
-                        let found = place_of(name).ok_or_else(|| {
-                            (
-                                format!("suites[{index}].controllers[{place}]"),
-                                format!("`{name}` is not among `controllers`"),
-                            )
-                        })?;
-                        places.push(found);
-                    }
-                    places
+                    let find = |(place, name): (usize, &mut String)| {
+                        let field = format!("suites[{index}].controllers[{place}]");
+                        place_of(name).ok_or_else(|| (field, not_among_controllers(name)))
+                    };
+                    names.iter_mut().enumerate().map(find).collect::<Result<Vec<_>, _>>()?
                 }
             };
-            tested.sort_unstable();
-            tested.dedup();
+            controller_indices.sort_unstable();
+            controller_indices.dedup();
             let text = serde_json::to_string(suite.spec()).map_err(|error| (field, error.to_string()))?;
-            let known = ContentId::new(suite.spec().name.as_str(), text);
-            planned.push(Self {
-                config_name: asked.suite.clone(),
-                suite,
-                content_id: known,
-                controller_indices: tested,
-            });
+            let content_id = ContentId::new(suite.spec().name.as_str(), text);
+            planned.push(Self { config_name: asked.suite.clone(), suite, content_id, controller_indices });
         }
         Ok(planned)
     }

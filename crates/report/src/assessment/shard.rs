@@ -12,7 +12,7 @@ use serde_json::json;
 
 use super::cache::{CacheEntry, CacheError, EvidenceCache};
 use super::evidence_tasks::evidence_tasks;
-use super::gather_context::GatherContext as Gathering;
+use super::gather_context::GatherContext;
 use super::{AssessError, AssessmentPlan};
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
@@ -131,10 +131,10 @@ pub fn gather_shard(
     let under_way = folder.join(CACHE_FOLDER);
     if !work.is_complete() {
         let cache = EvidenceCache::open(&under_way, program, false)?;
-        let gathering =
-            Gathering::new(&cache, ProgressCounter::new(observer, None)).with_controllers(&plan.controllers);
+        let gathering = GatherContext::new(plan, &cache, ProgressCounter::new(observer, None));
         own.iter().try_for_each(|piece| piece.gather(&gathering))?;
-        work.write(EVIDENCE_FILE, to_json_line(&cache.entries()?)?)?;
+        let entries = serde_json::to_string(&cache.entries()?).map_err(CacheError::encoding)?;
+        work.write(EVIDENCE_FILE, entries + "\n")?;
         work.finish()?;
     }
     // An earlier run may have stopped before this removal.
@@ -193,8 +193,7 @@ impl MergedEvidence {
     /// [`CacheError`] if it cannot be written, or is in use.
     pub fn write_to_cache(&self, folder: &Path) -> Result<usize, CacheError> {
         let cache = EvidenceCache::open(folder, &self.0.work().assessment.program, false)?;
-        let all = self.0.results().flatten();
-        all.map(|kept| cache.insert(kept)).sum()
+        self.0.results().flatten().map(|kept| cache.insert(kept)).sum()
     }
 }
 
@@ -204,8 +203,4 @@ fn plan_digest(plan: &AssessmentPlan) -> Result<String, CacheError> {
     let traffic = traffic.collect::<Result<Vec<_>, toml::ser::Error>>().map_err(CacheError::encoding)?;
     let suites: Vec<_> = plan.suites.iter().map(|planned| &planned.content_id.sha256).collect();
     Ok(sha256(json!([plan.config, plan.identities(), spaces, traffic, suites]).to_string()))
-}
-
-fn to_json_line(value: &impl Serialize) -> Result<String, CacheError> {
-    Ok(serde_json::to_string(value).map_err(CacheError::encoding)? + "\n")
 }

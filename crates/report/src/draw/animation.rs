@@ -47,7 +47,7 @@ pub fn draw_animation(id: &str, title: &str, trace: &Trace, scenario: &Scenario,
     let classes: Vec<VehicleClass> = scenario.vehicles().iter().map(|vehicle| vehicle.class).collect();
     let data = AnimationData::new(trace, impacts);
     let last = data.sample_count().saturating_sub(1);
-    let end = format!("{:.2} s", data.end_s());
+    let end = format!("{:.2} s", data.end_s);
     let view = |name: &str, width: f64| {
         let px_per_m = width / data.window_m();
         let view = LaneView { data: &data, width, px_per_m, camera_m: data.camera_m(last) };
@@ -62,7 +62,7 @@ pub fn draw_animation(id: &str, title: &str, trace: &Trace, scenario: &Scenario,
                 button type="button" { "Play" }
                 input type="range" min="0" max=(last) value=(last) step="1" aria-label="Time" aria-valuetext=(end);
             }
-            p.draw-state { span.draw-time { (end) } " " span.draw-event { (data.event_text(data.end_s())) } }
+            p.draw-state { span.draw-time { (end) } " " span.draw-event { (data.event_text(data.end_s)) } }
             div.scroll tabindex="0" { table {
                 thead { tr {
                     th scope="col" { "vehicle" }
@@ -70,7 +70,7 @@ pub fn draw_animation(id: &str, title: &str, trace: &Trace, scenario: &Scenario,
                     th.number scope="col" { "acceleration (m/s²)" }
                     th.number scope="col" { "gap ahead (m)" }
                 } }
-                tbody { @for (index, vehicle) in data.vehicles().iter().enumerate() { tr {
+                tbody { @for (index, vehicle) in data.vehicles.iter().enumerate() { tr {
                     th scope="row" { (index) " " (labels.get(index).map_or("", String::as_str)) }
                     td.number { (vehicle.speed_mps(last).map_or(String::new(), |v| format_number(v, 1))) }
                     td.number { (vehicle.acceleration_mps2(last).map_or(String::new(), |a| format_number(a, 1))) }
@@ -106,20 +106,20 @@ impl LaneView<'_> {
                 path class="draw-lane" d={ "M0 " (Px(bottom + 5.0)) "H" (Px(self.width)) } stroke=(Ink::Muted.hex())
                     stroke-width="3" stroke-dasharray={ (Px(0.3 * dash)) " " (Px(0.7 * dash)) }
                     stroke-dashoffset=(Px(self.dash_offset())) {}
-                @for (index, vehicle) in self.data.vehicles().iter().enumerate() {
+                @for (index, vehicle) in self.data.vehicles.iter().enumerate() {
                     @let class = classes.get(index).copied().unwrap_or(VehicleClass::Light);
                     @let x = self.to_px(vehicle.position_m(last).unwrap_or(0.0));
                     @let braking = vehicle.acceleration_mps2(last).is_some_and(|a| a < -0.5);
                     @let y = if self.data.is_in_lane(index, last) { middle } else { beside };
                     g class="draw-vehicle" transform={ "translate(" (Px(x)) " " (Px(y)) ")" } {
-                        (self.draw_vehicle(vehicle.length_m(), class, index, braking))
+                        (self.draw_vehicle(vehicle.length_m, class, index, braking))
                     }
                 }
-                @for rear in 1..self.data.vehicles().len() {
+                @for rear in 1..self.data.vehicles.len() {
                     @let is_below = rear % 2 == 1 && !self.data.has_lane_changes();
                     (self.draw_gap(rear, last, if is_below { bottom + 22.0 } else { top - 8.0 }))
                 }
-                @for impact in self.data.impacts() {
+                @for impact in &self.data.impacts {
                     @let x = self.to_px(self.data.impact_position_m(impact, last));
                     g class="draw-impact" transform={ "translate(" (Px(x)) " " (Px(middle)) ")" } {
                         (draw_marker((0.0, 0.0), Marker::Burst, Ink::Alert))
@@ -162,10 +162,9 @@ impl LaneView<'_> {
     fn draw_gap(&self, rear: usize, sample: usize, y: f64) -> Markup {
         let ahead_m = self.data.gap_m(rear, sample);
         let gap_m = ahead_m.unwrap_or(0.0);
-        let from = self.data.vehicles().get(rear).and_then(|vehicle| vehicle.position_m(sample)).unwrap_or(0.0);
-        let place: PixelPoint = (self.to_px(from + gap_m / 2.0), y);
+        let from = self.data.vehicles.get(rear).and_then(|vehicle| vehicle.position_m(sample)).unwrap_or(0.0);
         html! {
-            g class="draw-gap" transform={ "translate(" (Px(place.0)) " " (Px(place.1)) ")" } {
+            g class="draw-gap" transform={ "translate(" (Px(self.to_px(from + gap_m / 2.0))) " " (Px(y)) ")" } {
                 @let said = ahead_m.map_or(String::new(), |gap_m| format!("{} m", format_number(gap_m, 1)));
                 (draw_text((0.0, 0.0), Anchor::Middle, &said, SMALL_TEXT_SIZE, Ink::Text, false))
             }

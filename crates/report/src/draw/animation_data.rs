@@ -18,16 +18,16 @@ const WINDOW_RANGE_M: (f64, f64) = (40.0, 220.0);
 pub(super) struct AnimationData {
     step_s: f64,
     start_s: f64,
-    end_s: f64,
+    pub(super) end_s: f64,
     /// Indices of the vehicles between whose outer bumpers the picture is centred.
     centred: (usize, usize),
-    vehicles: Vec<VehicleData>,
-    impacts: Vec<ImpactData>,
+    pub(super) vehicles: Vec<VehicleData>,
+    pub(super) impacts: Vec<ImpactData>,
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub(super) struct VehicleData {
-    length_m: f64,
+    pub(super) length_m: f64,
     position_m: Vec<f64>,
     speed_mps: Vec<f64>,
     acceleration_mps2: Vec<f64>,
@@ -55,18 +55,17 @@ impl AnimationData {
         let times: Vec<f64> = (0..=steps).map(|step| (start_s + step as f64 * STEP_S).min(end_s)).collect();
         let vehicles: Vec<VehicleData> =
             trace.vehicles.iter().map(|track| VehicleData::new(&trace.time_s, track, &times)).collect();
-        let impacts: Vec<ImpactData> = impacts
-            .iter()
-            .map(|impact| &impact.contact)
-            .filter(|contact| contact.time_s.is_finite() && (1..vehicles.len()).contains(&contact.rear_vehicle))
-            .map(|contact| ImpactData {
-                time_s: round_to_digits(contact.time_s, 4),
-                front: contact.front_vehicle,
-                rear: contact.rear_vehicle,
-                // Rounded as in the report, so that both agree.
-                impact_speed_mps: round_to_digits(contact.impact_speed_mps, 1),
-            })
-            .collect();
+        let drawn = impacts.iter().map(|impact| &impact.contact);
+        let drawn =
+            drawn.filter(|contact| contact.time_s.is_finite() && (1..vehicles.len()).contains(&contact.rear_vehicle));
+        let impacts = drawn.map(|contact| ImpactData {
+            time_s: round_to_digits(contact.time_s, 4),
+            front: contact.front_vehicle,
+            rear: contact.rear_vehicle,
+            // Rounded as in the report, so that both agree.
+            impact_speed_mps: round_to_digits(contact.impact_speed_mps, 1),
+        });
+        let impacts = impacts.collect();
         let mut data = Self {
             step_s: STEP_S,
             start_s: round_to_digits(start_s, 4),
@@ -84,18 +83,6 @@ impl AnimationData {
 
     pub(super) fn sample_count(&self) -> usize {
         self.vehicles.first().map_or(0, |vehicle| vehicle.position_m.len())
-    }
-
-    pub(super) fn end_s(&self) -> f64 {
-        self.end_s
-    }
-
-    pub(super) fn vehicles(&self) -> &[VehicleData] {
-        &self.vehicles
-    }
-
-    pub(super) fn impacts(&self) -> &[ImpactData] {
-        &self.impacts
     }
 
     /// Returns the visible length, in metres: all vehicles at all times, within the limits.
@@ -175,10 +162,6 @@ impl VehicleData {
         }
     }
 
-    pub(super) fn length_m(&self) -> f64 {
-        self.length_m
-    }
-
     pub(super) fn position_m(&self, sample: usize) -> Option<f64> {
         self.position_m.get(sample).copied()
     }
@@ -256,7 +239,7 @@ mod tests {
                 assert!((last - track.position_m.last().unwrap()).abs() <= 0.005 + 1e-9);
             }
             assert!(compared > 3 * (data.sample_count() - 2), "{compared} of {}", 3 * data.sample_count());
-            assert!(data.event_text(data.end_s()).contains(" hits ") && data.event_text(0.0) == "no contact");
+            assert!(data.event_text(data.end_s).contains(" hits ") && data.event_text(0.0) == "no contact");
         }
     }
 
@@ -264,10 +247,10 @@ mod tests {
     fn vehicles_touch_where_the_run_ends_in_contact() {
         let (trace, impacts) = simulate_built_in("paper-2", AfterContact::Stop);
         let data = AnimationData::new(&trace, &impacts);
-        let (last, impact) = (data.sample_count() - 1, data.impacts()[0]);
+        let (last, impact) = (data.sample_count() - 1, data.impacts[0]);
         assert!(data.gap_m(impact.rear, last).unwrap().abs() <= 0.021);
         assert!((0..last).all(|sample| data.gap_m(impact.rear, sample).unwrap() > 0.0));
-        assert!(impact.time_s <= data.end_s() + 1e-9);
+        assert!(impact.time_s <= data.end_s + 1e-9);
     }
 
     proptest! {

@@ -18,7 +18,7 @@ pub const BOTTOM_MARGIN: f64 = 36.0;
 #[derive(Debug, Clone, PartialEq)]
 pub struct Axis {
     title: String,
-    domain: (f64, f64),
+    pub(super) domain: (f64, f64),
     ticks: Vec<(f64, String)>,
     has_grid: bool,
 }
@@ -61,11 +61,6 @@ impl Axis {
             *value = low + high - *value;
         }
         self
-    }
-
-    #[must_use]
-    pub(crate) fn domain(&self) -> (f64, f64) {
-        self.domain
     }
 
     pub(super) fn draw_horizontal(&self, scale: &LinearScale, frame: PixelRect) -> Markup {

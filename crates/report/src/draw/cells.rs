@@ -62,24 +62,14 @@ pub fn draw_cells(look: CellStyle, frames: impl Iterator<Item = PixelRect>) -> M
                 let _ = write!(strokes, "M{:.1} {:.1}l{to:.1} {to:.1}m0 {from:.1}l{from:.1} {to:.1}", x - arm, y - arm);
             }
             CellStyle::Hatched => {
-                let (w, h) = (width / 2.0, height / 2.0);
+                let (w, h, up) = (width / 2.0, -height / 2.0, -height);
                 let bottom = top + height;
-                let _ = write!(
-                    strokes,
-                    "M{left:.1} {y:.1}l{w:.1} {:.1}M{left:.1} {bottom:.1}l{width:.1} {:.1}",
-                    -h, -height
-                );
-                let _ = write!(strokes, "M{x:.1} {bottom:.1}l{w:.1} {:.1}", -h);
+                let _ = write!(strokes, "M{left:.1} {y:.1}l{w:.1} {h:.1}M{left:.1} {bottom:.1}l{width:.1} {up:.1}");
+                let _ = write!(strokes, "M{x:.1} {bottom:.1}l{w:.1} {h:.1}");
             }
             CellStyle::Lettered(letter) => {
-                marks.push(draw_text(
-                    (x, y + SMALL_TEXT_SIZE * 0.35),
-                    Anchor::Middle,
-                    letter,
-                    SMALL_TEXT_SIZE,
-                    Ink::Text,
-                    false,
-                ));
+                let base = (x, y + SMALL_TEXT_SIZE * 0.35);
+                marks.push(draw_text(base, Anchor::Middle, letter, SMALL_TEXT_SIZE, Ink::Text, false));
             }
         }
     }

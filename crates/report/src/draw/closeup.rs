@@ -51,7 +51,7 @@ pub(super) fn add_inset(host: &mut Panel, trace: &Trace, focus: &Focus, id: &str
         let middle = times.iter().zip(&part.position_m).map(|(t, x)| (*t, x - part.length_m / 2.0));
         tags.push(TaggedLine { points: middle.collect(), tag: index.to_string(), ink: Ink::Series(index) });
     }
-    let touch = (focus.time_s, position_at(trace, rear, focus.time_s));
+    let touch = (focus.time_s, value_at(trace, &rear.position_m, focus.time_s));
     if focus.is_contact {
         inset.add_markers(&[touch], Marker::Burst, Ink::Alert);
     } else {
@@ -94,18 +94,19 @@ fn draw_outline(PixelRect { left, top, width, height }: PixelRect, fill: &str) -
 fn zoom_ranges(trace: &Trace, focus: &Focus, front: &Track, rear: &Track) -> ((f64, f64), (f64, f64)) {
     let bodies_m = front.length_m.min(8.0) + rear.length_m.min(12.0);
     let metres = (1.5 * (bodies_m + focus.gap_m.max(0.0))).clamp(12.0, 60.0);
-    let speed_mps = speed_at(trace, front, focus.time_s).max(speed_at(trace, rear, focus.time_s));
+    let speed_at = |track: &Track| value_at(trace, &track.speed_mps, focus.time_s);
+    let speed_mps = speed_at(front).max(speed_at(rear));
     let seconds = (1.2 * metres / speed_mps.max(1.0)).clamp(0.4, 4.0);
     let (first, last) = extent(trace.time_s.iter().copied());
     let from = (focus.time_s - 0.65 * seconds).min(last + 0.07 * seconds - seconds).max(first);
-    let touch_m = position_at(trace, rear, focus.time_s);
+    let touch_m = value_at(trace, &rear.position_m, focus.time_s);
     let middle_m = touch_m + focus.gap_m / 2.0 + (front.length_m.min(8.0) - rear.length_m.min(12.0)) / 2.0;
     ((from, from + seconds), (middle_m - metres / 2.0, middle_m + metres / 2.0))
 }
 
 /// Returns a frame in the lower right or upper left corner of the host, as large as the trajectories permit.
 fn place_inset(host: &Panel, trace: &Trace) -> Option<PixelRect> {
-    let around = host.frame();
+    let around = host.frame;
     let corners = |(wide, high): (f64, f64)| {
         let (width, height) = (wide * around.width, high * around.height);
         let (left, top) = (around.right() - width - MARGIN, around.bottom() - height - MARGIN);
@@ -131,23 +132,15 @@ fn place_inset(host: &Panel, trace: &Trace) -> Option<PixelRect> {
 fn excerpt(track: &Track, from: usize, to: usize) -> Option<Track> {
     let part = |values: &[f64]| values.get(from..to).map(<[f64]>::to_vec);
     Some(Track {
-        length_m: track.length_m,
-        mass_kg: track.mass_kg,
         position_m: part(&track.position_m)?,
         speed_mps: part(&track.speed_mps)?,
         acceleration_mps2: part(&track.acceleration_mps2)?,
-        in_lane_s: track.in_lane_s,
+        ..*track
     })
 }
 
-/// Returns the front bumper position at the first sample not before `time_s`.
-fn position_at(trace: &Trace, track: &Track, time_s: f64) -> f64 {
+/// Returns the value at the first sample not before `time_s`.
+pub(super) fn value_at(trace: &Trace, values: &[f64], time_s: f64) -> f64 {
     let index = trace.time_s.partition_point(|time| *time < time_s);
-    track.position_m.get(index).or(track.position_m.last()).copied().unwrap_or(0.0)
-}
-
-/// Returns the speed at the first sample not before `time_s`.
-fn speed_at(trace: &Trace, track: &Track, time_s: f64) -> f64 {
-    let index = trace.time_s.partition_point(|time| *time < time_s);
-    track.speed_mps.get(index).or(track.speed_mps.last()).copied().unwrap_or(0.0)
+    values.get(index).or(values.last()).copied().unwrap_or(0.0)
 }

@@ -145,6 +145,11 @@ impl maud::Render for Svg {
     }
 }
 
+/// Renders both forms of a figure for a page with [`STYLE`], which shows the one that fits.
+pub(crate) fn responsive(wide: &Svg, narrow: &Svg) -> Markup {
+    html! { div.draw-wide { (wide) } div.draw-narrow { (narrow) } }
+}
+
 fn sanitize_id(text: &str) -> String {
     let plain = |letter: char| if letter.is_ascii_alphanumeric() || "-_".contains(letter) { letter } else { '-' };
     let name: String = text.chars().map(plain).collect();

@@ -12,7 +12,7 @@ use super::panel::{Anchor, Marker, Panel, TaggedLine, draw_line, draw_tag, draw_
 use super::scale::extent;
 use super::theme::{Ink, SMALL_TEXT_SIZE, Stroke, TEXT_SIZE};
 use super::{Svg, path};
-use crumple_world::sim::{Contact, Impact, Trace, Track};
+use crumple_world::sim::{Contact, Impact, Trace, Track, VehiclePair};
 
 /// The data of a motion figure of one run.
 #[derive(Debug, Clone, Copy)]
@@ -67,11 +67,11 @@ pub fn draw_motion_on_axes(figure: &MotionFigure<'_>, axes: &MotionAxes, layout:
 /// Draws both layouts for an HTML page with [`STYLE`](super::STYLE), which shows the one that fits.
 #[must_use]
 pub fn draw_motion_responsive(figure: &MotionFigure<'_>) -> Markup {
-    let (wide, narrow) = (format!("{}-wide", figure.prefix), format!("{}-narrow", figure.prefix));
-    html! {
-        div.draw-wide { (draw_motion(&MotionFigure { prefix: &wide, ..*figure }, PanelArrangement::Wide)) }
-        div.draw-narrow { (draw_motion(&MotionFigure { prefix: &narrow, ..*figure }, PanelArrangement::Stacked)) }
-    }
+    let drawn = |name: &str, layout| {
+        let prefix = format!("{}-{name}", figure.prefix);
+        draw_motion(&MotionFigure { prefix: &prefix, ..*figure }, layout)
+    };
+    super::responsive(&drawn("wide", PanelArrangement::Wide), &drawn("narrow", PanelArrangement::Stacked))
 }
 
 /// Draws several runs on the same axes, in two columns or in one, for a page with [`STYLE`](super::STYLE).
@@ -114,11 +114,10 @@ fn position_panel(figure: &MotionFigure<'_>, plan: &FigureLayout, axes: &MotionA
         add_vehicle_band(&mut panel, &trace.time_s, track, index);
     }
     mark_contacts(&mut panel, figure, plan.labels_right, |contact| {
-        let place = impact_position_m(trace, contact);
-        (
-            format!("contact {} at {:.2} s, {:.1} m/s", format_pair(contact), contact.time_s, contact.impact_speed_mps),
-            place,
-        )
+        let &Contact { time_s, impact_speed_mps, .. } = contact;
+        let rear = trace.vehicles.get(contact.rear_vehicle);
+        let place = rear.map_or(0.0, |rear| closeup::value_at(trace, &rear.position_m, time_s));
+        (format!("contact {} at {time_s:.2} s, {impact_speed_mps:.1} m/s", format_pair(contact)), place)
     });
     if let Some(focus) = find_focus(figure) {
         if !focus.is_contact {
@@ -149,7 +148,7 @@ pub(super) fn add_vehicle_band(panel: &mut Panel, time_s: &[f64], track: &Track,
 
 /// Adds numbers, and names if there is room, to the right of each vehicle's end.
 fn add_end_labels(panel: &mut Panel, figure: &MotionFigure<'_>, plan: &FigureLayout) {
-    let frame = panel.frame();
+    let frame = panel.frame;
     let end = |track: &Track| {
         let last = (figure.trace.time_s.last()?, track.position_m.last()?);
         Some(panel.to_pixels((*last.0, last.1 - track.length_m / 2.0)))
@@ -199,11 +198,10 @@ fn speed_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -
 fn gap_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -> Panel {
     let MotionFigure { trace, .. } = figure;
     let at = |(sample, gap_m): (usize, f64)| Some((*trace.time_s.get(sample)?, gap_m));
-    let pairs = (1..trace.vehicles.len()).flat_map(|rear| trace.pairs(rear).into_iter().map(move |pair| (rear, pair)));
     let mut panel = Panel::new(frame, "Gap between bumpers (m)", axes.time(), axes.gap());
     panel.add_horizontal_line(0.0, Stroke::solid(Ink::Text, 1.0));
     let mut tags = Vec::new();
-    for (rear, pair) in pairs {
+    for (rear, pair) in vehicle_pairs(trace) {
         let line: Vec<path::PixelPoint> = pair.gaps_m().filter_map(at).collect();
         panel.add_line(&line, Stroke::series(rear));
         let tag = format!("{}\u{2013}{rear}", pair.front_vehicle);
@@ -245,7 +243,7 @@ fn mark_contacts(
 
 /// Adds text between the heading and the frame, centred over an instant if there is room.
 fn add_caption(panel: &mut Panel, time_s: f64, text: &str, ink: Ink, right: f64) {
-    let frame = panel.frame();
+    let frame = panel.frame;
     let half = text_width(text, SMALL_TEXT_SIZE) / 2.0;
     let (x, _) = panel.to_pixels((time_s, 0.0));
     let centre = x.min(right - half).max(frame.left - LEFT_MARGIN + 2.0 + half);
@@ -258,25 +256,20 @@ fn find_focus(figure: &MotionFigure<'_>) -> Option<Focus> {
         return Some(Focus { time_s, front, rear, gap_m: 0.0, is_contact: true });
     }
     let mut closest: Option<Focus> = None;
-    for rear in 1..figure.trace.vehicles.len() {
-        for pair in figure.trace.pairs(rear) {
-            for (sample, gap_m) in pair.gaps_m() {
-                let Some(&time_s) = pair.time_s.get(sample) else { continue };
-                if gap_m.is_finite() && closest.is_none_or(|closest| gap_m < closest.gap_m) {
-                    closest = Some(Focus { time_s, front: pair.front_vehicle, rear, gap_m, is_contact: false });
-                }
+    for (rear, pair) in vehicle_pairs(figure.trace) {
+        for (sample, gap_m) in pair.gaps_m() {
+            let Some(&time_s) = pair.time_s.get(sample) else { continue };
+            if gap_m.is_finite() && closest.is_none_or(|closest| gap_m < closest.gap_m) {
+                closest = Some(Focus { time_s, front: pair.front_vehicle, rear, gap_m, is_contact: false });
             }
         }
     }
     closest
 }
 
-fn impact_position_m(trace: &Trace, contact: &Contact) -> f64 {
-    let position = |track: &Track| {
-        let after = trace.time_s.partition_point(|time_s| *time_s < contact.time_s);
-        track.position_m.get(after).or(track.position_m.last()).copied()
-    };
-    trace.vehicles.get(contact.rear_vehicle).and_then(position).unwrap_or(0.0)
+/// Returns every pair of a vehicle and its leader, each with the index of the rear vehicle.
+pub(super) fn vehicle_pairs(trace: &Trace) -> impl Iterator<Item = (usize, VehiclePair<'_>)> {
+    (1..trace.vehicles.len()).flat_map(|rear| trace.pairs(rear).into_iter().map(move |pair| (rear, pair)))
 }
 
 fn to_points(time_s: &[f64], values: impl Iterator<Item = f64>) -> Vec<path::PixelPoint> {

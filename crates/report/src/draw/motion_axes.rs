@@ -1,6 +1,7 @@
 //! The axes of the three diagrams, for one run or for several that are compared.
 
 use super::axis::Axis;
+use super::motion::vehicle_pairs;
 use super::scale::{extent, pad_interval};
 use crumple_world::sim::{Trace, Track};
 
@@ -29,11 +30,10 @@ impl MotionAxes {
             let (low, high) = extent(track.position_m.iter().copied());
             [low - track.length_m, high]
         };
-        let pairs = traces.iter().flat_map(|trace| (1..trace.vehicles.len()).flat_map(|rear| trace.pairs(rear)));
         let (first_s, last_s) = extent(traces.iter().flat_map(|trace| trace.time_s.iter().copied()));
         let (_, fastest_mps) = extent(tracks().flat_map(|track| track.speed_mps.iter().copied()));
-        let gaps_m: Vec<f64> =
-            pairs.flat_map(|pair| pair.gaps_m().map(|(_, gap_m)| gap_m).collect::<Vec<_>>()).collect();
+        let pairs = traces.iter().flat_map(|trace| vehicle_pairs(trace));
+        let gaps_m = pairs.flat_map(|(_, pair)| pair.gaps_m().map(|(_, gap_m)| gap_m).collect::<Vec<_>>());
         let (least_m, most_m) = extent(gaps_m);
         Self {
             // Extend beyond the last sample, so that the marker of a final collision is not cut off.

@@ -51,7 +51,7 @@ pub(crate) struct TaggedLine {
 /// A chart: axes, and layers in the order of their addition. Lines, bands and bars are clipped at the frame.
 #[derive(Debug, Clone)]
 pub struct Panel {
-    frame: PixelRect,
+    pub(super) frame: PixelRect,
     title: String,
     x: Axis,
     y: Axis,
@@ -66,15 +66,10 @@ impl Panel {
     /// Creates an empty chart with the data area `frame`; ticks and titles lie outside it, see [`Axis`].
     #[must_use]
     pub fn new(frame: PixelRect, title: &str, x: Axis, y: Axis) -> Self {
-        let x_scale = LinearScale::new(x.domain(), (frame.left, frame.right()));
-        let y_scale = LinearScale::new(y.domain(), (frame.bottom(), frame.top));
+        let x_scale = LinearScale::new(x.domain, (frame.left, frame.right()));
+        let y_scale = LinearScale::new(y.domain, (frame.bottom(), frame.top));
         let title = title.to_owned();
         Self { frame, title, x, y, x_scale, y_scale, clipped: Vec::new(), overlays: Vec::new(), occupied: Vec::new() }
-    }
-
-    #[must_use]
-    pub(crate) fn frame(&self) -> PixelRect {
-        self.frame
     }
 
     /// Converts a pair of values to pixels.
@@ -146,14 +141,8 @@ impl Panel {
             Anchor::End => place.0 - width / 2.0,
         };
         self.occupied.push(PixelRect::from_center((middle, place.1), width, SMALL_TEXT_SIZE * 1.2));
-        self.overlays.push(draw_text(
-            (place.0, place.1 + SMALL_TEXT_SIZE * 0.35),
-            anchor,
-            text,
-            SMALL_TEXT_SIZE,
-            ink,
-            true,
-        ));
+        let base = (place.0, place.1 + SMALL_TEXT_SIZE * 0.35);
+        self.overlays.push(draw_text(base, anchor, text, SMALL_TEXT_SIZE, ink, true));
     }
 
     /// Adds content in pixels to the data, clipped at the frame.
@@ -182,7 +171,8 @@ impl Panel {
         let PixelRect { left, top, width, height } = self.frame;
         html! {
             @if !self.title.is_empty() {
-                (draw_heading((left, top), &self.title))
+                text x=(Px(left - LEFT_MARGIN)) y=(Px(top - HEADING_HEIGHT + 16.0)) font-size=(Px(TEXT_SIZE))
+                    font-weight="600" fill=(Ink::Text.hex()) { (strip_unprintable(&self.title)) }
             }
             (self.x.draw_horizontal(&self.x_scale, self.frame))
             (self.y.draw_vertical(&self.y_scale, self.frame))
@@ -199,13 +189,6 @@ impl Panel {
 
 /// Height above a panel's frame for its heading and a line of notes, in pixels.
 pub const HEADING_HEIGHT: f64 = 40.0;
-
-fn draw_heading((left, top): PixelPoint, title: &str) -> Markup {
-    html! {
-        text x=(Px(left - LEFT_MARGIN)) y=(Px(top - HEADING_HEIGHT + 16.0)) font-size=(Px(TEXT_SIZE)) font-weight="600"
-            fill=(Ink::Text.hex()) { (strip_unprintable(title)) }
-    }
-}
 
 /// Draws text at a point on its baseline, in pixels; a halo makes it readable over lines.
 #[must_use]

@@ -173,11 +173,15 @@ fn figures_are_the_same_every_time_and_share_no_identifier() {
     assert_eq!(page("one"), page("one"));
     assert!(page("one").len() < 45_000, "thirty figures are to stay well under 2 MB: {}", page("one").len());
 
-    let text = page("one") + &page("two") + &page("3 \"");
-    let ids: Vec<&str> = text.split(" id=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
+    check_identifiers(&(page("one") + &page("two") + &page("3 \"")));
+}
+
+/// Checks that every identifier of a page is unique, and that those used are defined.
+fn check_identifiers(page: &str) {
+    let ids: Vec<&str> = page.split(" id=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
     let unique: HashSet<&str> = ids.iter().copied().collect();
     assert_eq!(unique.len(), ids.len(), "{ids:?}");
-    for used in text.split("url(#").skip(1).filter_map(|rest| rest.split(')').next()) {
+    for used in page.split("url(#").skip(1).filter_map(|rest| rest.split(')').next()) {
         assert!(unique.contains(used), "{used} is not defined");
     }
 }
@@ -215,10 +219,8 @@ fn runs_beside_each_other_are_drawn_on_the_same_axes() {
     let labels_of = |svg: Svg| -> Vec<String> {
         let document = svg.document();
         let texts = document.split("<text ").skip(1).filter_map(|rest| rest.split("</text>").next());
-        texts
-            .filter(|text| text.contains("text-anchor=\"end\"") && !text.contains("stroke"))
-            .map(str::to_owned)
-            .collect()
+        let labels = texts.filter(|text| text.contains("text-anchor=\"end\"") && !text.contains("stroke"));
+        labels.map(str::to_owned).collect()
     };
     let together = figures.map(|figure| labels_of(draw_motion_on_axes(&figure, &axes, PanelArrangement::Column)));
     assert_eq!(together[0], together[1]);
@@ -246,12 +248,7 @@ fn an_animation_shows_the_end_without_its_script_and_shares_no_identifier() {
     assert_eq!(text.matches("<script").count(), 2);
     assert_eq!(text.matches("</script>").count(), 2);
 
-    let ids: Vec<&str> = text.split(" id=\"").skip(1).filter_map(|rest| rest.split('"').next()).collect();
-    let unique: HashSet<&str> = ids.iter().copied().collect();
-    assert_eq!(unique.len(), ids.len(), "{ids:?}");
-    for used in text.split("url(#").skip(1).filter_map(|rest| rest.split(')').next()) {
-        assert!(unique.contains(used), "{used} is not defined");
-    }
+    check_identifiers(&text);
     // The drawing has the classes that the script looks for.
     for name in ["draw-view", "draw-lane", "draw-vehicle", "draw-gap", "draw-impact", "draw-brake", "draw-event"] {
         assert!(text.contains(name) && ANIMATION_SCRIPT.contains(name), "{name}");

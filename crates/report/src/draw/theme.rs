@@ -133,19 +133,10 @@ pub const STYLE: &str = r##"
 mod tests {
     use super::*;
 
-    const INKS: [Ink; 11] = [
-        Ink::Text,
-        Ink::Muted,
-        Ink::Axis,
-        Ink::Grid,
-        Ink::Paper,
-        Ink::Alert,
-        Ink::Series(0),
-        Ink::Series(1),
-        Ink::Series(2),
-        Ink::Series(3),
-        Ink::Series(4),
-    ];
+    fn inks() -> Vec<Ink> {
+        let series = (0..SERIES_COLOUR_COUNT).map(Ink::Series);
+        [Ink::Text, Ink::Muted, Ink::Axis, Ink::Grid, Ink::Paper, Ink::Alert].into_iter().chain(series).collect()
+    }
 
     /// Returns the contrast of two colours by WCAG 2.1.
     fn contrast(one: &str, other: &str) -> f64 {
@@ -168,24 +159,22 @@ mod tests {
 
     #[test]
     fn every_ink_is_recoloured_by_the_style_sheet() {
-        for (index, ink) in INKS.iter().enumerate() {
+        for (index, ink) in inks().iter().enumerate() {
             let hex = ink.hex();
             assert!(STYLE.contains(&format!(".draw [fill=\"{hex}\"]{{fill:var(")), "{ink:?}");
             assert!(STYLE.contains(&format!(".draw [stroke=\"{hex}\"]{{stroke:var(")), "{ink:?}");
-            assert!(INKS.iter().skip(index + 1).all(|other| other.hex() != hex), "{ink:?} is not unique");
+            assert!(inks().iter().skip(index + 1).all(|other| other.hex() != hex), "{ink:?} is not unique");
         }
     }
 
     #[test]
     fn what_must_be_read_has_contrast_in_both_modes() {
         let names = ["text", "muted", "alert", "0", "1", "2", "3", "4"];
-        let inks = INKS.iter().filter(|ink| !matches!(ink, Ink::Axis | Ink::Grid | Ink::Paper));
+        let inks = inks().into_iter().filter(|ink| !matches!(ink, Ink::Axis | Ink::Grid | Ink::Paper));
         for (ink, name) in inks.zip(names) {
             assert!(contrast(ink.hex(), Ink::Paper.hex()) >= 4.5, "{ink:?} on white");
-            assert!(
-                contrast(dark_value(&format!("--draw-{name}")), dark_value("--draw-paper")) >= 4.5,
-                "{ink:?} in the dark"
-            );
+            let [own, paper] = [name, "paper"].map(|name| dark_value(&format!("--draw-{name}")));
+            assert!(contrast(own, paper) >= 4.5, "{ink:?} in the dark");
         }
     }
 

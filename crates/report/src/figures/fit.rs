@@ -3,7 +3,7 @@
 use maud::html;
 
 use crate::draw::{
-    Anchor, Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, PixelRect, Stroke, Svg, pad_interval,
+    Anchor, Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, PixelRect, Stroke, Svg, extent, pad_interval,
 };
 use crumple_evidence::fit::{FittedFeature, FittedSpace, format_p_value};
 
@@ -31,11 +31,8 @@ pub fn draw_fit(fitted: &FittedSpace) -> Svg {
 
 fn fit_panel(number: &FittedFeature, frame: PixelRect) -> Panel {
     let point = number.point_mass.map(|point| point.at);
-    let (smallest, largest) = (number.tails.smallest, number.tails.largest);
-    let (low, high) = pad_interval(
-        (point.map_or(smallest, |at| at.min(smallest)), point.map_or(largest, |at| at.max(largest))),
-        0.08,
-    );
+    let ends = [number.tails.smallest, number.tails.largest].into_iter().chain(point);
+    let (low, high) = pad_interval(extent(ends), 0.08);
     let x = Axis::numeric(if number.unit == "1" { "" } else { number.unit }, (low, high), 6);
     let title = format!("{}: {}", number.name, number.chosen.family.name());
     let mut panel = Panel::new(frame, &title, x, Axis::numeric("", (0.0, 1.0), 5));
@@ -54,13 +51,10 @@ fn fit_panel(number: &FittedFeature, frame: PixelRect) -> Panel {
         let line: Vec<_> = at.into_iter().map(|value| (value, ready.cdf(value))).collect();
         panel.add_line(&line, Stroke::series(0));
     }
-    let words = format!(
-        "KS {:.3} (p {}), CvM {:.3} (p {})",
-        number.goodness.kolmogorov_smirnov,
-        format_p_value(number.goodness.kolmogorov_smirnov_p),
-        number.goodness.cramer_von_mises,
-        format_p_value(number.goodness.cramer_von_mises_p)
-    );
+    let goodness = &number.goodness;
+    let [ks_p, cvm_p] = [goodness.kolmogorov_smirnov_p, goodness.cramer_von_mises_p].map(format_p_value);
+    let (ks, cvm) = (goodness.kolmogorov_smirnov, goodness.cramer_von_mises);
+    let words = format!("KS {ks:.3} (p {ks_p}), CvM {cvm:.3} (p {cvm_p})");
     panel.add_note((high, 0.06), Anchor::End, &words, Ink::Muted);
     panel.add_note((high, 0.18), Anchor::End, "dashes: observed, line: fitted", Ink::Muted);
     panel

@@ -20,13 +20,16 @@ pub(crate) fn describe_verdict(verdict: &TestVerdict) -> String {
 pub(super) fn describe_outcome(tested: &ControllerResult) -> String {
     match &tested.worst_in_tolerance {
         Some(within) if tested.verdict.is_passed() && !tested.is_passed() => {
-            format!(
-                "FAILED within the tolerances of the clause; every stated point passes: {}",
-                describe_verdict(&within.verdict)
-            )
+            let found = describe_verdict(&within.verdict);
+            format!("FAILED within the tolerances of the clause; every stated point passes: {found}")
         }
         _ => describe_verdict(&tested.verdict),
     }
+}
+
+/// Returns the number of passed points; empty if the test cannot be run.
+pub(super) fn format_points(tested: &ControllerResult) -> String {
+    if tested.points == 0 { String::new() } else { format!(", {} of {} pass", tested.passed_points, tested.points) }
 }
 
 /// Describes the impact up to which a test passes nevertheless.
@@ -75,21 +78,17 @@ fn passing_share(margin: &Margin) -> f64 {
 fn describe_margin(margin: &Margin) -> String {
     let Margin { parameter: push, unit, from, to, fixed_parameters: held, end } = margin;
     let held = if held.is_empty() { String::new() } else { format!(" at {held}") };
-    let push = push.label();
-    match end {
+    let words = match end {
         MarginEnd::None { failure: beyond } => {
-            format!("margin of {push}{held}: none, the test {} at {from} {unit}", describe_beyond(*beyond))
+            format!("none, the test {} at {from} {unit}", describe_beyond(*beyond))
         }
-        MarginEnd::Holds { parts } => {
-            format!("margin of {push}{held}: passes from {from} to {to} {unit} at the ends of {parts} parts")
-        }
+        MarginEnd::Holds { parts } => format!("passes from {from} to {to} {unit} at the ends of {parts} parts"),
         MarginEnd::Boundary { passes_at, fails_at, failure: beyond, is_monotone, parts } => {
             let apart = (passes_at - fails_at).abs();
             // Use as many digits as distinguish the two.
             let digits = if apart > 0.0 { (1.0 - apart.log10().floor()).clamp(3.0, 9.0) as usize } else { 3 };
             let does = describe_beyond(*beyond);
-            let words =
-                format!("margin of {push}{held}: passes at {passes_at:.digits$}, {does} at {fails_at:.digits$} {unit}");
+            let words = format!("passes at {passes_at:.digits$}, {does} at {fails_at:.digits$} {unit}");
             match is_monotone {
                 true => words,
                 false => {
@@ -97,7 +96,8 @@ fn describe_margin(margin: &Margin) -> String {
                 }
             }
         }
-    }
+    };
+    format!("margin of {}{held}: {words}", push.label())
 }
 
 fn describe_beyond(beyond: SweepFailure) -> &'static str {

@@ -5,7 +5,8 @@ use std::fmt::Write;
 use maud::{DOCTYPE, Markup, html};
 
 use super::map_figure;
-use super::page::{describe_estimator, html_head};
+use super::page::{SUITE_STYLE, describe_estimator};
+use crate::html_head;
 use crumple_core::quoting::{TerminalLines, TerminalText};
 use crumple_suites::{CrashCell, CrashMap, MapPanel, TestVerdict};
 
@@ -31,31 +32,23 @@ pub(super) const LEGEND: [(char, &str); 5] = [
     ('-', "cannot be run"),
 ];
 
-impl PanelSummary<'_> {
-    fn count(&self, letter_of: char) -> usize {
-        self.0.cells.iter().filter(|cell| cell_letter(cell) == letter_of).count()
+fn describe_panel(panel: &MapPanel) -> String {
+    let MapPanel { contacts, without_reaction, unlike_closed_form, cells, .. } = panel;
+    let mut words = format!("contact in {contacts} of {} cells", cells.len());
+    if *without_reaction > 0 {
+        words += &format!(" ({without_reaction} without braking)");
     }
-
-    fn describe(&self) -> String {
-        let MapPanel { contacts, without_reaction, unlike_closed_form, cells, .. } = self.0;
-        let mut words = format!("contact in {contacts} of {} cells", cells.len());
-        if *without_reaction > 0 {
-            words += &format!(" ({without_reaction} without braking)");
+    for (letter, what) in LEGEND.iter().skip(3) {
+        let count = cells.iter().filter(|cell| cell_letter(cell) == *letter).count();
+        if count > 0 {
+            words += &format!(", {what} in {count}");
         }
-        for (letter, what) in LEGEND.iter().skip(3) {
-            let count = self.count(*letter);
-            if count > 0 {
-                words += &format!(", {what} in {count}");
-            }
-        }
-        if let Some(unlike) = unlike_closed_form {
-            words += &format!(", different from the closed form in {unlike}");
-        }
-        words
     }
+    if let Some(unlike) = unlike_closed_form {
+        words += &format!(", different from the closed form in {unlike}");
+    }
+    words
 }
-
-struct PanelSummary<'m>(&'m MapPanel);
 
 pub(super) fn panel_title(panel: &MapPanel) -> String {
     if panel.is_reference { format!("reference: {}", panel.driver) } else { panel.driver.clone() }
@@ -78,7 +71,7 @@ pub fn render_map_text(map: &CrashMap) -> String {
         let _ = writeln!(out, "  {}", line.label);
     }
     for panel in &map.panels {
-        let _ = writeln!(out, "\n{}: {}", TerminalText(&panel_title(panel)), PanelSummary(panel).describe());
+        let _ = writeln!(out, "\n{}: {}", TerminalText(&panel_title(panel)), describe_panel(panel));
         for row in panel.cells.chunks(across.cells.max(1)).rev() {
             let row: String = row.iter().map(cell_letter).collect();
             let _ = writeln!(out, "  {row}");
@@ -95,7 +88,7 @@ pub fn render_map_html(map: &CrashMap) -> String {
     let page: Markup = html! {
         (DOCTYPE)
         html lang="en" {
-            (html_head(&title))
+            (html_head(&title, SUITE_STYLE))
             body {
                 header {
                     p.kicker { "crumple " (env!("CARGO_PKG_VERSION")) }
@@ -109,7 +102,7 @@ pub fn render_map_html(map: &CrashMap) -> String {
                     div.scroll tabindex="0" { table {
                         thead { tr { th scope="col" { "driver" } th scope="col" { "result" } } }
                         tbody { @for panel in &map.panels { tr {
-                            th scope="row" { (panel_title(panel)) } td { (PanelSummary(panel).describe()) }
+                            th scope="row" { (panel_title(panel)) } td { (describe_panel(panel)) }
                         } } }
                     } }
                     ul { @for line in &map.boundaries { li { (line.label) } } }

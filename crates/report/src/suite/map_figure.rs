@@ -10,10 +10,7 @@ use crate::draw::{
 use crumple_suites::{Boundary, CrashMap, CrashMapAxis, MapPanel};
 
 pub(super) fn draw_responsive(map: &CrashMap) -> Markup {
-    html! {
-        div.draw-wide { (draw(map, "map-wide", 960.0, column_count(map))) }
-        div.draw-narrow { (draw(map, "map-narrow", 360.0, 1)) }
-    }
+    draw::responsive(&draw(map, "map-wide", 960.0, column_count(map)), &draw(map, "map-narrow", 360.0, 1))
 }
 
 /// Draws a map as a separate figure.

@@ -59,17 +59,8 @@ fn write_test(
         let _ = writeln!(out, "    {}", description::describe_impact_limit(limit));
     }
     for tested in &test.controllers {
-        let points = if tested.points == 0 {
-            String::new()
-        } else {
-            format!(", {} of {} pass", tested.passed_points, tested.points)
-        };
-        let _ = writeln!(
-            out,
-            "    {}: {}{points}",
-            TerminalText(&tested.controller),
-            TerminalText(&describe_outcome(tested))
-        );
+        let (controller, outcome) = (TerminalText(&tested.controller), describe_outcome(tested));
+        let _ = writeln!(out, "    {controller}: {}{}", TerminalText(&outcome), description::format_points(tested));
         for line in describe_min_margins(&tested.margins) {
             let _ = writeln!(out, "      {line}");
         }
@@ -77,14 +68,11 @@ fn write_test(
             let _ = writeln!(out, "      {}", TerminalText(&describe_worst_in_tolerance(within)));
         }
         for failed in tested.failures() {
-            let _ =
-                writeln!(out, "      fails at {}: {}", failed.point, TerminalText(&describe_verdict(&failed.verdict)));
-            let preventable = describe_preventability(failed);
-            if !preventable.is_empty() {
-                let _ = writeln!(out, "        {}", TerminalText(&preventable));
-            }
-            if let Some(command) = replay(failed, tested) {
-                let _ = writeln!(out, "        {}", TerminalText(&command));
+            let verdict = describe_verdict(&failed.verdict);
+            let _ = writeln!(out, "      fails at {}: {}", failed.point, TerminalText(&verdict));
+            let preventable = Some(describe_preventability(failed)).filter(|words| !words.is_empty());
+            for line in preventable.into_iter().chain(replay(failed, tested)) {
+                let _ = writeln!(out, "        {}", TerminalText(&line));
             }
         }
     }

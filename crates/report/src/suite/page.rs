@@ -1,20 +1,20 @@
 //! The result of a suite as one self-contained page: the matrix, then each test with its failures and figures.
 
-use maud::{DOCTYPE, Markup, PreEscaped, html};
+use maud::{DOCTYPE, Markup, html};
 
 use super::description::{
     describe_impact_limit, describe_min_margins, describe_outcome, describe_prevention, describe_verdict,
-    describe_worst_in_tolerance,
+    describe_worst_in_tolerance, format_points,
 };
-use crate::PAGE_STYLE;
-use crate::draw::{self, MotionFigure, draw_motion_responsive, vehicle_names};
+use crate::draw::{MotionFigure, draw_motion_responsive, vehicle_names};
+use crate::html_head;
 use crate::units::insert_nbsp_before_units;
 use crumple_core::quoting::TerminalLines;
-use crumple_suites::{ClauseResult, ControllerResult, FailedPoint, SuiteResult, TestResult, TestVerdict};
+use crumple_suites::{ClauseResult, ControllerResult, FailedPoint, SuiteResult, TestResult};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate};
 
-const SUITE_STYLE: &str = include_str!("page.css");
+pub(super) const SUITE_STYLE: &str = include_str!("page.css");
 
 /// Maximum number of failures drawn per test and controller, those with the highest impact speeds.
 const MAX_FIGURES: usize = 2;
@@ -45,7 +45,7 @@ impl Page<'_> {
         html! {
             (DOCTYPE)
             html lang="en" {
-                (html_head(&title))
+                (html_head(&title, SUITE_STYLE))
                 body {
                     header {
                         p.kicker { "crumple " (env!("CARGO_PKG_VERSION")) }
@@ -85,7 +85,7 @@ impl Page<'_> {
                 tbody { @for (clause, test) in self.result.tests() { tr {
                     th scope="row" { a href={ "#test-" (test.name) } { (test.name) } }
                     td { (clause.clause) }
-                    @for tested in &test.controllers { td.judged.(css_class(tested)) { (matrix_cell(tested)) } }
+                    @for tested in &test.controllers { td.judged.(class_and_sign(tested).0) { (matrix_cell(tested)) } }
                 } } }
             } }
             p.kicker { "✓ every point of the grid passes, and no failure was found within the tolerances; ✗ some \
@@ -113,9 +113,8 @@ impl Page<'_> {
                 } } }
                 tbody { @for tested in &test.controllers { tr {
                     th scope="row" { (tested.controller) }
-                    td.judged.(css_class(tested)) {
-                        (verdict_sign(tested)) (describe_outcome(tested)) (format_points(tested))
-                    }
+                    @let (class, sign) = class_and_sign(tested);
+                    td.judged.(class) { (sign) (describe_outcome(tested)) (format_points(tested)) }
                     td.wide { @for line in describe_min_margins(&tested.margins) { p { (line) } } }
                     td.wide { @if let Some(within) = &tested.worst_in_tolerance {
                         (describe_worst_in_tolerance(within))
@@ -132,7 +131,7 @@ impl Page<'_> {
     fn failures(&self, test: &TestResult, tested: &ControllerResult) -> Markup {
         let mut worst: Vec<&FailedPoint> = tested.failures().collect();
         let all = worst.len();
-        worst.sort_by(|a, b| impact_mps(&b.verdict).total_cmp(&impact_mps(&a.verdict)));
+        worst.sort_by(|a, b| b.verdict.impact_speed_mps().total_cmp(&a.verdict.impact_speed_mps()));
         worst.truncate(MAX_FIGURES);
         // A point without an answer has no references: there may have been nothing to prevent.
         let drivers = tested.failures().map(|failed| &failed.references).find(|references| !references.is_empty());
@@ -199,18 +198,6 @@ impl Page<'_> {
     }
 }
 
-pub(super) fn html_head(title: &str) -> Markup {
-    html! {
-        head {
-            meta charset="utf-8";
-            meta name="viewport" content="width=device-width, initial-scale=1";
-            meta name="generator" content={ "crumple " (env!("CARGO_PKG_VERSION")) };
-            title { (title) }
-            style { (PreEscaped(PAGE_STYLE)) (PreEscaped(draw::STYLE)) (PreEscaped(SUITE_STYLE)) }
-        }
-    }
-}
-
 pub(super) fn describe_estimator(estimator: EstimatorKind) -> &'static str {
     match estimator {
         EstimatorKind::Truth => "none, they observe the true state",
@@ -235,42 +222,20 @@ fn parameter_list(test: &TestResult) -> Markup {
     }
 }
 
-fn impact_mps(verdict: &TestVerdict) -> f64 {
-    match verdict {
-        TestVerdict::Failed { impact_speed_mps, .. } => *impact_speed_mps,
-        _ => 0.0,
-    }
-}
-
-fn is_refused(tested: &ControllerResult) -> bool {
-    matches!(tested.verdict, TestVerdict::Refused { .. })
-}
-
-fn css_class(tested: &ControllerResult) -> &'static str {
+/// Returns the CSS class of a verdict, and the sign before it.
+fn class_and_sign(tested: &ControllerResult) -> (&'static str, &'static str) {
     match tested.is_passed() {
-        true => "good",
-        false if is_refused(tested) => "refused",
-        false => "bad",
+        true => ("good", "✓ "),
+        false if tested.verdict.is_refusal() => ("refused", "– "),
+        false => ("bad", "✗ "),
     }
-}
-
-fn verdict_sign(tested: &ControllerResult) -> &'static str {
-    match tested.is_passed() {
-        true => "✓ ",
-        false if is_refused(tested) => "– ",
-        false => "✗ ",
-    }
-}
-
-fn format_points(tested: &ControllerResult) -> String {
-    if tested.points == 0 { String::new() } else { format!(", {} of {} pass", tested.passed_points, tested.points) }
 }
 
 /// Renders a cell of the matrix: passed points, the worst impact, and the first margin.
 fn matrix_cell(tested: &ControllerResult) -> Markup {
-    let worst_mps = tested.failures().map(|failed| impact_mps(&failed.verdict)).fold(0.0, f64::max);
+    let worst_mps = tested.failures().map(|failed| failed.verdict.impact_speed_mps()).fold(0.0, f64::max);
     html! {
-        (verdict_sign(tested))
+        (class_and_sign(tested).1)
         @if tested.points == 0 { "not run" } @else { (tested.passed_points) " of " (tested.points) }
         @if worst_mps > 0.0 { br; "worst " (format!("{worst_mps:.1}")) " m/s" }
     }

@@ -37,26 +37,20 @@ fn format_cell(tested: &ControllerResult) -> String {
         return "–".to_owned();
     }
     if !tested.is_passed() {
-        let impact_mps = |verdict: &TestVerdict| match verdict {
-            TestVerdict::Failed { impact_speed_mps, .. } => Some(*impact_speed_mps),
-            _ => None,
-        };
-        let fastest = tested.failures().filter_map(|failed| impact_mps(&failed.verdict)).reduce(f64::max);
+        let collisions = tested.failures().filter(|failed| matches!(failed.verdict, TestVerdict::Failed { .. }));
+        let fastest = collisions.map(|failed| failed.verdict.impact_speed_mps()).reduce(f64::max);
         let sign = if tested.verdict.is_refusal() { "–" } else { "✗" };
         let impact = fastest.map_or_else(String::new, |mps| format!(", {mps:.1} m/s"));
         return format!("{sign} {points}{impact}");
     }
-    let margin = min_margins(&tested.margins)
-        .first()
-        .map_or_else(String::new, |(margin, _)| format!(", {}", describe_margin_end(margin)));
+    let margin = min_margins(&tested.margins).first().map_or_else(String::new, |(margin, _)| {
+        let Margin { parameter, unit, to, end, .. } = margin;
+        let end = match end {
+            MarginEnd::None { .. } => "not at all".to_owned(),
+            MarginEnd::Holds { .. } => format!("to {to} {unit}"),
+            MarginEnd::Boundary { passes_at, .. } => format!("to {passes_at:.2} {unit}"),
+        };
+        format!(", {} {end}", parameter.label())
+    });
     format!("✓ {points}{margin}")
-}
-
-fn describe_margin_end(margin: &Margin) -> String {
-    let Margin { parameter: push, unit, to, end, .. } = margin;
-    match end {
-        MarginEnd::None { .. } => format!("{} not at all", push.label()),
-        MarginEnd::Holds { .. } => format!("{} to {to} {unit}", push.label()),
-        MarginEnd::Boundary { passes_at, .. } => format!("{} to {passes_at:.2} {unit}", push.label()),
-    }
 }

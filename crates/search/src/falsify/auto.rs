@@ -244,7 +244,8 @@ impl LeaderSearch {
 }
 
 impl Auto {
-    fn add_surrogate_data(&mut self, point: &[f64], value: f64) {
+    fn learn(&mut self, point: &[f64], value: f64) {
+        self.leader_search.learn(point, value);
         self.surrogate_data.push((self.cube.coarsen(&self.coarse, point), value));
         self.surrogate_data_count += 1;
     }
@@ -300,26 +301,19 @@ impl SearchAlgorithm for Auto {
         let (mut generation, mut of_lead) = (Vec::new(), Vec::new());
         let asked = std::mem::take(&mut self.pending);
         for (asked, value) in asked.into_iter().zip(robustness.iter().map(|&value| nan_as_infinity(value))) {
-            if let PortfolioProposal::Simple(point)
-            | PortfolioProposal::Screened(point)
-            | PortfolioProposal::Descent(point)
-            | PortfolioProposal::Leader(point) = &asked
-            {
-                self.leader_search.learn(point, value);
-            }
             match asked {
                 PortfolioProposal::Screened(point) => {
-                    self.add_surrogate_data(&point, value);
+                    self.learn(&point, value);
                     self.good_points.push((value, point));
                 }
                 PortfolioProposal::Simple(point) => {
-                    self.add_surrogate_data(&point, value);
+                    self.learn(&point, value);
                     self.plateaus.add(point.clone(), value);
                     self.climbs.add_start(point.clone(), value);
                     self.good_points.push((value, point));
                 }
                 PortfolioProposal::Descent(point) => {
-                    self.add_surrogate_data(&point, value);
+                    self.learn(&point, value);
                     generation.push(value);
                 }
                 PortfolioProposal::PlateauBisection(segment) => {
@@ -328,7 +322,7 @@ impl SearchAlgorithm for Auto {
                 PortfolioProposal::Climb(proposal) => self.climbs.tell(proposal, value),
                 PortfolioProposal::Leader(point) => {
                     of_lead.push(value);
-                    self.add_surrogate_data(&point, value);
+                    self.learn(&point, value);
                     self.good_points.push((value, point));
                 }
             }

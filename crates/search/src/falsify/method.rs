@@ -266,9 +266,6 @@ mod tests {
     use crate::falsify::campaign::{Campaign, CampaignError, CampaignOptions, CampaignProgress};
     use crumple_core::observer::Quiet;
     use crumple_store::shard::ShardId;
-    use crumple_world::control::ControllerSpec;
-    use crumple_world::observation::EstimatorKind;
-    use crumple_world::scenario::space::built_in_space;
     use proptest::prelude::*;
     use std::ops::ControlFlow;
 
@@ -287,13 +284,7 @@ mod tests {
         let start = move |cube: &UnitCube, _| -> Box<dyn SearchAlgorithm> {
             Box::new(FixedPointSearch(vec![coordinate; cube.dimension()]))
         };
-        Campaign {
-            estimator: EstimatorKind::Truth,
-            method: Method::Custom(CustomMethod::new(name, start).unwrap()),
-            budget: 10,
-            seed: 7,
-            ..Campaign::new(ControllerSpec::from_name("match-leader").unwrap(), built_in_space("high-risk").unwrap())
-        }
+        Campaign::of_match_leader("high-risk", Method::Custom(CustomMethod::new(name, start).unwrap()), 10, 7)
     }
 
     #[test]

@@ -33,6 +33,14 @@ impl AttackObjective {
             Self::Severest => "severest",
         }
     }
+
+    /// Returns the cost of a profile of one acceleration per cell: its peak, or ∫ a².
+    pub(super) fn cost(self, cells_mps2: &[f64], cell_s: f64) -> f64 {
+        match self {
+            Self::LeastPeak => cells_mps2.iter().fold(0.0, |most, a| most.max(-a)),
+            Self::Mildest | Self::Severest => cells_mps2.iter().map(|a| a * a * cell_s).sum(),
+        }
+    }
 }
 
 /// Limits of the leader's braking.

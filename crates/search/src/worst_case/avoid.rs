@@ -11,7 +11,7 @@ use super::firing_search::FiringSearch;
 use super::program::{EscapeObjective, Grid};
 use super::reason::UndecidedReason;
 use super::scenario_box::ScenarioBox;
-use crumple_world::scenario::{Scenario, whole_multiple};
+use crumple_world::scenario::{MAX_MULTIPLE, Scenario, whole_multiple};
 
 /// Options of the search for an escape.
 #[derive(Debug, Clone, Copy, PartialEq, Default)]
@@ -66,7 +66,10 @@ impl EscapeKind {
 #[non_exhaustive]
 pub enum AvoidError {
     /// The grid does not fit the scenario.
-    #[error("a grid of {grid_s:?} s is not a multiple of the scenario's step of {step_s:?} s")]
+    #[error(
+        "a grid of {grid_s:?} s is not the scenario's step of {step_s:?} s times a whole number from 1 to \
+         {MAX_MULTIPLE}"
+    )]
     Grid {
         /// Requested grid, in seconds.
         grid_s: f64,
@@ -340,7 +343,7 @@ fn conclude(
     }
     let high_m = search.bound_m();
     if high_m >= 0.0 {
-        let late = problem.egos.iter().position(|ego| ego.dead_steps > 0);
+        let late = problem.dead_steps.iter().position(|&steps| steps > 0);
         return Err(match (&search.solver_failure, late) {
             (Some(status), _) => UndecidedReason::Solver { status: status.clone() },
             // With a delay neither decides: proofs assume egos that respond at once, and escapes assume the delay.

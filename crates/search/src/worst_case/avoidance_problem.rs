@@ -5,7 +5,7 @@
 //! an upper bound, for proofs ([`BoundSide::Upper`]), and a lower bound, for escapes ([`BoundSide::Lower`]).
 
 use crumple_verify::claim::MAX_EGOS;
-use crumple_verify::{Interval, SceneFollower};
+use crumple_verify::{Interval, SceneEgo, SceneFollower};
 
 use super::reason::UndecidedReason;
 use super::scenario_box::{ScenarioBox, ScenarioRanges};
@@ -30,25 +30,15 @@ impl BoundSide {
     }
 }
 
-/// A vehicle under test, which chooses its acceleration.
-#[derive(Debug, Clone)]
-pub(super) struct EgoModel {
-    pub(super) position_m: Interval,
-    pub(super) speed_mps: Interval,
-    pub(super) length_m: f64,
-    pub(super) max_brake_mps2: f64,
-    pub(super) max_accel_mps2: f64,
-    /// Steps at the start before its first command has an effect.
-    pub(super) dead_steps: usize,
-}
-
 /// A leader, one or more egos, perhaps a follower, and a time grid.
 #[derive(Debug, Clone)]
 pub(super) struct AvoidanceProblem {
     pub(super) step_s: f64,
     pub(super) steps: usize,
     pub(super) leader: ScriptedLeader,
-    pub(super) egos: Vec<EgoModel>,
+    pub(super) egos: Vec<SceneEgo>,
+    /// Steps at the start before the first command of each ego has an effect.
+    pub(super) dead_steps: Vec<usize>,
     /// Vehicle behind the egos with a latched emergency brake, as in a certificate.
     pub(super) follower: Option<SceneFollower>,
     /// True if the problem covers more than one scenario.
@@ -80,16 +70,14 @@ impl AvoidanceProblem {
         };
         let ego = |index: usize| {
             let vehicle = &vehicles[index];
-            EgoModel {
+            SceneEgo {
                 position_m: spans(|v| v.position_m, index),
                 speed_mps: spans(|v| v.speed_mps, index),
                 length_m: vehicle.length_m(),
                 max_brake_mps2: low.usable_brake_mps2(index),
                 max_accel_mps2: vehicle.max_accel_mps2(),
-                dead_steps: delay_steps(low, vehicle),
             }
         };
-        let egos: Vec<EgoModel> = (1..=last_ego).map(ego).collect();
         let has_lag = |v: &VehicleSpec| v.actuator_lag_s > 0.0 || v.jerk_limit_mps3.is_some();
         let under_test = || (1..=last_ego).filter_map(|index| Some((index, vehicles.get(index)?)));
         let mut escape_caveat =
@@ -129,7 +117,8 @@ impl AvoidanceProblem {
             step_s: low.spec().step_s,
             steps: low.steps(),
             leader: ScriptedLeader::new(low, high),
-            egos,
+            egos: (1..=last_ego).map(ego).collect(),
+            dead_steps: (1..=last_ego).map(|index| delay_steps(low, &vehicles[index])).collect(),
             follower,
             is_box: !family.is_point(),
             ranges: family.ranges(),

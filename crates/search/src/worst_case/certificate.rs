@@ -24,16 +24,7 @@ fn build_scene(problem: &AvoidanceProblem) -> Scene {
             speed_mps: leader.speed_mps,
             acceleration_mps2: run_length_encode(&leader.acceleration_mps2),
         },
-        egos: egos
-            .iter()
-            .map(|ego| SceneEgo {
-                position_m: ego.position_m,
-                length_m: ego.length_m,
-                speed_mps: ego.speed_mps,
-                max_brake_mps2: ego.max_brake_mps2,
-                max_accel_mps2: ego.max_accel_mps2,
-            })
-            .collect(),
+        egos: egos.clone(),
         follower: follower.clone(),
     }
 }
@@ -223,14 +214,14 @@ fn is_modelled(certificate: &Certificate, scenario: &Scenario, problem: &Avoidan
         // A proof covers any follower and any delay of the vehicles under test.
         Statement::Unavoidable(_) | Statement::GapBound(_) => problem.proof_caveat.is_none(),
         Statement::Avoidable(claim) => {
-            let waits = |(ego, witness): (&super::avoidance_problem::EgoModel, &Vec<ConstantPiece<f64>>)| {
+            let waits = |(&dead_steps, witness): (&usize, &Vec<ConstantPiece<f64>>)| {
                 let held =
                     witness.iter().flat_map(|ConstantPiece(steps, value)| std::iter::repeat_n(*value, *steps as usize));
-                held.take(ego.dead_steps).all(|value| value == 0.0)
+                held.take(dead_steps).all(|value| value == 0.0)
             };
             problem.escape_caveat.is_none()
                 && problem.proof_caveat.is_none()
-                && problem.egos.iter().zip(&claim.witness).all(waits)
+                && problem.dead_steps.iter().zip(&claim.witness).all(waits)
         }
         _ => false,
     }

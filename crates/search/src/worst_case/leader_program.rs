@@ -102,9 +102,5 @@ pub(super) fn cheapest_profile(
         })
         .collect();
     profile.resize(all, 0.0);
-    let cost = match aim {
-        AttackObjective::LeastPeak => profile.iter().fold(0.0, |most: f64, a| most.max(-a)),
-        AttackObjective::Mildest | AttackObjective::Severest => profile.iter().map(|a| a * a * cell_s).sum(),
-    };
-    Some((cost, profile))
+    Some((aim.cost(&profile, cell_s), profile))
 }

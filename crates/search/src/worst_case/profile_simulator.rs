@@ -1,6 +1,6 @@
 //! Simulation of a leader's braking profiles, with counts of simulations and programs.
 
-use super::attack::{Attack, AttackError, AttackMethod, Envelope};
+use super::attack::{Attack, AttackError, AttackMethod, AttackObjective, Envelope};
 use super::escape::script_pieces;
 use crumple_core::observer::{Observer, RunProgress};
 use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Scenario};
@@ -87,8 +87,8 @@ impl<'a> ProfileSimulator<'a> {
         let trial = ProfileOutcome::from_simulated(&crumple_world::sim::simulate(&run, RecordingLevel::Summary));
         Ok(Attack {
             outcome: trial.outcome.clone(),
-            effort_m2ps3: cells_mps2.iter().map(|a| a * a * self.cell_s()).sum(),
-            peak_brake_mps2: cells_mps2.iter().fold(0.0, |most, a| most.max(-a)),
+            effort_m2ps3: AttackObjective::Mildest.cost(cells_mps2, self.cell_s()),
+            peak_brake_mps2: AttackObjective::LeastPeak.cost(cells_mps2, self.cell_s()),
             predicted_margin_m,
             margin_m: trial.margin_m,
             evaluations: self.evaluations,

@@ -157,7 +157,7 @@ impl<'a> EscapeProgram<'a> {
                 }
                 self.quadratic_program.add_equality(&travel, 0.0);
                 let change = self.speed_change_terms(ego, instant);
-                if self.grid.steps[instant - 1] < limits.dead_steps {
+                if self.grid.steps[instant - 1] < self.problem.dead_steps[ego] {
                     self.quadratic_program.add_equality(&change, 0.0);
                 } else {
                     let back: Vec<_> = change.iter().map(|&(variable, c)| (variable, -c)).collect();
@@ -268,7 +268,7 @@ impl<'a> EscapeProgram<'a> {
         let mut before = 0.0;
         let cells = 1..=self.grid.cell_count();
         let of_cell = cells.map(|instant| {
-            if self.grid.steps[instant - 1] < limits.dead_steps {
+            if self.grid.steps[instant - 1] < self.problem.dead_steps[ego] {
                 return 0.0;
             }
             let wanted = at.get(self.speed_variable(ego, instant)).copied().unwrap_or(before);

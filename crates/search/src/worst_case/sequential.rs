@@ -180,12 +180,7 @@ impl AttackSearch<'_, '_> {
     }
 
     fn cost(&self, cells_mps2: &[f64]) -> f64 {
-        match self.objective {
-            AttackObjective::LeastPeak => cells_mps2.iter().fold(0.0, |most, a| most.max(-a)),
-            AttackObjective::Mildest | AttackObjective::Severest => {
-                cells_mps2.iter().map(|a| a * a * self.bench.cell_s()).sum()
-            }
-        }
+        self.objective.cost(cells_mps2, self.bench.cell_s())
     }
 
     /// Returns the gradient of the margin with respect to the knots, in s².

@@ -14,7 +14,6 @@ use super::{DiskError, none_if_missing, remove};
 
 const PREFIX: &str = ".crumple-unfinished-";
 
-#[must_use]
 pub(crate) fn is_unfinished(path: &Path) -> bool {
     path.file_name().is_some_and(|name| name.to_string_lossy().starts_with(PREFIX))
 }

@@ -85,10 +85,8 @@ impl CompletedRun {
     pub fn read_bytes(&self, name: &str) -> Result<Vec<u8>, RunFolderError> {
         let path = self.folder.join(name);
         if self.manifest.whole_file_state(name).is_some_and(|state| state.max_bytes() > MAX_BYTES) {
-            return Err(RunFolderError::damaged(
-                &path,
-                format!("longer than {MAX_BYTES} bytes, the limit for such a file"),
-            ));
+            let problem = format!("longer than {MAX_BYTES} bytes, the limit for such a file");
+            return Err(RunFolderError::damaged(&path, problem));
         }
         let bytes = self.manifest.read_contents(&self.folder, name)?;
         self.manifest.check(name, bytes.as_deref()).map_err(|problem| RunFolderError::damaged(&path, problem))?;
@@ -101,12 +99,9 @@ impl CompletedRun {
     /// [`RunFolderError`] as for [`Self::read`], and if the run used another configuration.
     pub fn read_configuration(&self, name: &str) -> Result<String, RunFolderError> {
         let text = self.read(name)?;
-        match sha256(&text) == self.manifest.configuration_sha256 {
+        match self.has_configuration(&text) {
             true => Ok(text),
-            false => Err(RunFolderError::damaged(
-                &self.folder.join(name),
-                "the run in the same folder has a different configuration",
-            )),
+            false => Err(self.damaged_error(name, "the run in the same folder has a different configuration")),
         }
     }
 
@@ -140,14 +135,13 @@ impl CompletedRun {
         match Manifest::read(&path)? {
             None => Ok(false),
             Some(there) if there == self.manifest => Ok(true),
-            Some(there) if there.program.is_some() => Err(RunFolderError::damaged(
-                &path,
-                format!("the {} there is unfinished, and the one in {own} is complete", there.kind),
-            )),
-            Some(there) => Err(RunFolderError::damaged(
-                &path,
-                format!("the {} there has a different result than the one in {own}", there.kind),
-            )),
+            Some(Manifest { kind, program, .. }) => {
+                let problem = match program {
+                    Some(_) => format!("the {kind} there is unfinished, and the one in {own} is complete"),
+                    None => format!("the {kind} there has a different result than the one in {own}"),
+                };
+                Err(RunFolderError::damaged(&path, problem))
+            }
         }
     }
 

@@ -58,15 +58,11 @@ impl FolderExamination {
 pub fn examine(folder: &Path) -> Result<FolderExamination, RunFolderError> {
     let path = folder.join(MANIFEST_FILE);
     let manifest = Manifest::read(&path)?.ok_or_else(|| RunFolderError::missing(&path))?;
-    // No process can run in a folder that is not writable.
-    let is_free = match FolderLock::try_acquire(folder) {
-        Err(error) if matches!(error.source.kind(), ErrorKind::ReadOnlyFilesystem | ErrorKind::PermissionDenied) => {
-            true
-        }
-        lock => lock?.is_some(),
-    };
-    if !is_free {
-        return Err(RunFolderError::InUse { folder: folder.to_owned(), kind: manifest.kind });
+    match FolderLock::try_acquire(folder) {
+        Ok(None) => return Err(RunFolderError::InUse { folder: folder.to_owned(), kind: manifest.kind }),
+        // No process can run in a folder that is not writable.
+        Err(error) if matches!(error.source.kind(), ErrorKind::ReadOnlyFilesystem | ErrorKind::PermissionDenied) => {}
+        lock => drop(lock?),
     }
     let state = |name: String| -> Result<_, RunFolderError> {
         match manifest.check_file(folder, &name) {
@@ -87,20 +83,16 @@ pub fn examine(folder: &Path) -> Result<FolderExamination, RunFolderError> {
         files.extend(found.files.into_iter().map(|(name, state)| (format!("{included}/{name}"), state)));
         unlisted.extend(found.unlisted_files.into_iter().map(|name| format!("{included}/{name}")));
     }
-    let is_of_this_build = match &manifest.program {
-        Some(program) => program == program::identity()?,
-        None => true,
-    };
-    let identity = manifest.program.as_deref().map(|program| manifest.identity(program));
-    let (kind, complete) = (manifest.kind.clone(), manifest.program.is_none());
-    let beside = manifest.unrelated_files(folder)?;
     Ok(FolderExamination {
-        kind,
-        is_complete: complete,
-        is_of_this_build,
+        is_complete: manifest.program.is_none(),
+        is_of_this_build: match &manifest.program {
+            Some(program) => program == program::identity()?,
+            None => true,
+        },
         files,
         unlisted_files: unlisted,
-        identity,
-        unrelated_files: beside,
+        identity: manifest.program.as_deref().map(|program| manifest.identity(program)),
+        unrelated_files: manifest.unrelated_files(folder)?,
+        kind: manifest.kind,
     })
 }

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
-use std::io::{self, ErrorKind};
+use std::io;
 use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
@@ -11,7 +11,7 @@ use super::lock::LOCK_FILE;
 use super::pending::{self, PendingChange, is_inside_folder};
 use super::state::{FileState, MISSING_FILE_MESSAGE, Prefix, read_regular_file, regular_file_len};
 use super::{MANIFEST_FILE, PREVIOUS_FOLDER, RunFolderError, UNLISTED_FILE_MESSAGE};
-use crate::disk::{self, DiskError};
+use crate::disk::{self, DiskError, none_if_missing};
 use crumple_core::digest::{Sha256, sha256};
 
 /// Version of the format.
@@ -115,16 +115,13 @@ impl Manifest {
             let is_unlisted = !self.has_entry(name) && path.symlink_metadata().is_ok();
             return if is_unlisted { Err(RunFolderError::damaged(&path, UNLISTED_FILE_MESSAGE)) } else { Ok(None) };
         };
-        let found = read_regular_file(&path, state.max_bytes());
-        match self.unfinished_for(name) {
-            Some(unfinished) if !matches!(&found, Ok(Some(bytes)) if state.matches_contents(bytes)) => {
-                match read_regular_file(&folder.join(unfinished), state.max_bytes()) {
-                    Ok(Some(bytes)) if state.matches_contents(&bytes) => Ok(Some(bytes)),
-                    _ => found,
-                }
-            }
-            _ => found,
-        }
+        let read = |path: &Path| read_regular_file(path, state.max_bytes());
+        let is_whole = |found: &Result<Option<Vec<u8>>, RunFolderError>| {
+            found.as_ref().is_ok_and(|bytes| bytes.as_ref().is_some_and(|bytes| state.matches_contents(bytes)))
+        };
+        let found = read(&path);
+        let unfinished = self.unfinished_for(name).filter(|_| !is_whole(&found));
+        unfinished.map(|unfinished| read(&folder.join(unfinished))).filter(is_whole).unwrap_or(found)
     }
 
     /// Returns the name of the file that will replace a file.
@@ -219,15 +216,11 @@ impl Manifest {
     }
 
     /// Returns the recorded prefix of an append-only file.
-    fn prefix(&self, name: &str) -> Option<&Prefix> {
+    pub(super) fn prefix(&self, name: &str) -> Option<&Prefix> {
         match self.files.get(name)? {
             FileState::AppendOnly(prefix) => Some(prefix),
             FileState::Whole { .. } => None,
         }
-    }
-
-    pub(super) fn is_append_only(&self, name: &str) -> bool {
-        self.prefix(name).is_some()
     }
 
     pub(super) fn folders(&self) -> BTreeSet<&str> {
@@ -324,13 +317,9 @@ impl Manifest {
 }
 
 pub(super) fn sorted_entries(folder: &Path) -> Result<Vec<PathBuf>, DiskError> {
-    let entries = match fs::read_dir(folder) {
-        Ok(entries) => entries,
-        Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Vec::new()),
-        Err(source) => return Err(DiskError::at(folder)(source)),
-    };
-    let mut found =
-        entries.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<_>>>().map_err(DiskError::at(folder))?;
+    let entries = none_if_missing(fs::read_dir(folder)).map_err(DiskError::at(folder))?.into_iter().flatten();
+    let found = entries.map(|entry| Ok(entry?.path())).collect::<io::Result<Vec<_>>>();
+    let mut found = found.map_err(DiskError::at(folder))?;
     found.sort_unstable();
     Ok(found)
 }

@@ -205,10 +205,8 @@ impl RunFolder {
             Some(found) if found.configuration_sha256 != configuration_sha256 => {
                 let name = options.configuration_file;
                 if found.check_file(folder, name).is_err() {
-                    let problem = format!(
-                        "the `{name}` in the same folder does not match it: one of them belongs to another run"
-                    );
-                    return Err(RunFolderError::damaged(&path, problem));
+                    let problem = "in the same folder does not match it: one of them belongs to another run";
+                    return Err(RunFolderError::damaged(&path, format!("the `{name}` {problem}")));
                 }
                 let found = found.read_contents(folder, name)?.unwrap_or_default();
                 return Err(RunFolderError::OtherConfiguration {
@@ -325,12 +323,10 @@ impl RunFolder {
             return Err(RunFolderError::damaged(&path, UNLISTED_FILE_MESSAGE));
         }
         let folder = name.rsplit_once('/').map(|(folder, _)| folder);
-        match folder.filter(|folder| !manifest.folders().contains(folder)) {
+        let Some(folder) = folder.filter(|folder| !manifest.folders().contains(folder)) else { return Ok(()) };
+        match sorted_entries(&self.path(folder))?.iter().find(|path| !path.is_dir()) {
+            Some(left_over) => Err(RunFolderError::damaged(left_over, UNLISTED_FILE_MESSAGE)),
             None => Ok(()),
-            Some(folder) => match sorted_entries(&self.path(folder))?.iter().find(|path| !path.is_dir()) {
-                Some(left_over) => Err(RunFolderError::damaged(left_over, UNLISTED_FILE_MESSAGE)),
-                None => Ok(()),
-            },
         }
     }
 

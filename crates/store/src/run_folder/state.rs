@@ -1,13 +1,13 @@
 //! Recorded state of a file, and the check of the file against it.
 
 use std::fs;
-use std::io::{ErrorKind, Read};
+use std::io::Read;
 use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use super::RunFolderError;
-use crate::disk::{self, DiskError};
+use crate::disk::{self, DiskError, none_if_missing};
 use crumple_core::digest::{Sha256, sha256};
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -31,29 +31,23 @@ pub struct Prefix {
 }
 
 impl Prefix {
-    /// Returns the empty prefix, for which the file may be missing.
-    pub(super) fn empty() -> Self {
-        Self { bytes: 0, sha256: sha256("") }
-    }
-
-    /// Checks that a file begins with the prefix. Reads in chunks, because the file may be larger than memory.
+    /// Checks that a file begins with the prefix; the file may be missing if the prefix is empty. Reads in chunks,
+    /// because the file may be larger than memory.
     pub(super) fn check_file(&self, path: &Path) -> Result<Result<(), String>, DiskError> {
         let unreadable = DiskError::at(path);
-        let mut file = match fs::File::open(path) {
-            Ok(file) => file.take(self.bytes),
-            Err(error) if error.kind() == ErrorKind::NotFound && self.bytes == 0 => return Ok(Ok(())),
-            Err(error) if error.kind() == ErrorKind::NotFound => return Ok(Err(MISSING_FILE_MESSAGE.to_owned())),
-            Err(error) => return Err(unreadable(error)),
+        let mut file = match none_if_missing(fs::File::open(path)).map_err(unreadable)? {
+            Some(file) => file.take(self.bytes),
+            None if self.bytes == 0 => return Ok(Ok(())),
+            None => return Ok(Err(MISSING_FILE_MESSAGE.to_owned())),
         };
         let (mut digest, mut part, mut left) = (Sha256::default(), vec![0; 1 << 16], self.bytes);
         loop {
-            match file.read(&mut part).map_err(unreadable)? {
-                0 => break,
-                count => {
-                    digest.update(part.get(..count).unwrap_or_default());
-                    left = left.saturating_sub(count as u64);
-                }
+            let count = file.read(&mut part).map_err(unreadable)?;
+            if count == 0 {
+                break;
             }
+            digest.update(part.get(..count).unwrap_or_default());
+            left = left.saturating_sub(count as u64);
         }
         Ok(match (left, digest.hexadecimal() == self.sha256) {
             (0, true) => Ok(()),
@@ -92,13 +86,11 @@ impl FileState {
 
 /// Returns the length of a file; `None` if it does not exist. A link, folder or pipe is an error.
 pub(super) fn regular_file_len(path: &Path) -> Result<Option<u64>, RunFolderError> {
-    match fs::symlink_metadata(path) {
-        Ok(found) if !found.is_file() => {
+    match none_if_missing(fs::symlink_metadata(path)).map_err(DiskError::at(path))? {
+        Some(found) if !found.is_file() => {
             Err(RunFolderError::damaged(path, "is not a plain file: crumple keeps results in plain files only"))
         }
-        Ok(found) => Ok(Some(found.len())),
-        Err(error) if error.kind() == ErrorKind::NotFound => Ok(None),
-        Err(source) => Err(DiskError::at(path)(source).into()),
+        found => Ok(found.map(|found| found.len())),
     }
 }
 

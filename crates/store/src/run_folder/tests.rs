@@ -21,6 +21,11 @@ fn finished_folder() -> tempfile::TempDir {
     folder
 }
 
+fn assert_refused(folder: &Path, reason: &str) {
+    let text = RunFolder::open(folder, OPTIONS).unwrap_err().to_string();
+    assert!(text.contains(reason), "{text}");
+}
+
 #[test]
 fn only_written_files_are_read() {
     let folder = finished_folder();
@@ -37,15 +42,14 @@ fn only_written_files_are_read() {
 #[test]
 fn another_folders_work_is_refused() {
     let folder = finished_folder();
-    let open = |asked| RunFolder::open(folder.path(), asked).err().map(|error| error.to_string()).unwrap();
-    assert!(open(RunFolderOptions { resume: false, ..OPTIONS }).contains("already holds a count"));
-    assert!(
-        open(RunFolderOptions { kind: "training", ..OPTIONS }).contains("the folder holds a count, not a training")
-    );
-    assert!(
-        open(RunFolderOptions { configuration: "runs = 4", ..OPTIONS })
-            .contains("the count there has a different configuration")
-    );
+    for (asked, expected) in [
+        (RunFolderOptions { resume: false, ..OPTIONS }, "already holds a count"),
+        (RunFolderOptions { kind: "training", ..OPTIONS }, "the folder holds a count, not a training"),
+        (RunFolderOptions { configuration: "runs = 4", ..OPTIONS }, "the count there has a different configuration"),
+    ] {
+        let text = RunFolder::open(folder.path(), asked).unwrap_err().to_string();
+        assert!(text.contains(expected), "{text}");
+    }
 }
 
 /// Tests changes of a bit in every byte, every shorter length, removal, and swapped files: all are detected.
@@ -141,17 +145,14 @@ fn the_next_writer_completes_an_announced_change() {
         let (folder, _) = announced();
         drop(RunFolder::open(folder.path(), OPTIONS).unwrap());
         fs::write(folder.path().join(name), contents).unwrap();
-        let text = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
-        assert!(text.contains(&format!("{name}: has changed since it was written")), "{text}");
+        assert_refused(folder.path(), &format!("{name}: has changed since it was written"));
     }
     let (folder, _) = announced();
     fs::write(folder.path().join(".crumple-unfinished-1"), "changed").unwrap();
-    let text = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
-    assert!(text.contains("new/c.json: the file is missing"), "{text}");
+    assert_refused(folder.path(), "new/c.json: the file is missing");
     let (folder, before) = announced();
     fs::write(folder.path().join("deep/b.json"), [&before[1][..], b"!"].concat()).unwrap();
-    let text = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
-    assert!(text.contains("deep/b.json: has changed since it was written"), "{text}");
+    assert_refused(folder.path(), "deep/b.json: has changed since it was written");
 }
 
 /// An append-only file may be longer than its recorded prefix. Announcing it again keeps the prefix.
@@ -174,11 +175,10 @@ fn the_recorded_prefix_of_a_growing_file_survives_a_resume() {
         ("First, second", "its first 5 bytes have changed since they were written"),
     ] {
         fs::write(&path, damaged).unwrap();
-        let error = open().err().unwrap().to_string();
-        assert!(error.contains(&format!("journal: {text}")), "{error}");
+        assert_refused(folder.path(), &format!("journal: {text}"));
     }
     fs::remove_file(&path).unwrap();
-    assert!(open().err().unwrap().to_string().contains("journal: the file is missing"));
+    assert_refused(folder.path(), "journal: the file is missing");
 }
 
 /// An unlisted file in a folder of the run, or at the path of an output, is named, and the run cannot resume.
@@ -193,11 +193,8 @@ fn strangers_are_named_and_nothing_goes_on_beside_them() {
         match (unlisted.first(), RunFolder::open(root, asked).err()) {
             (None, error) => assert!(error.is_none(), "{error:?}"),
             (Some(name), error) => {
-                let text = error.unwrap().to_string();
-                assert!(
-                    text.starts_with(&format!("{}: work.json does not list this file", root.join(name).display())),
-                    "{text}"
-                );
+                let (text, path) = (error.unwrap().to_string(), root.join(name));
+                assert!(text.starts_with(&format!("{}: {UNLISTED_FILE_MESSAGE}", path.display())), "{text}");
             }
         }
     };
@@ -249,8 +246,7 @@ fn nothing_outside_of_the_folder_is_moved_or_removed() {
         let mut manifest = Manifest::new("count", program::identity().unwrap(), &sha256(OPTIONS.configuration), &[]);
         manifest.add_pending_move(name, unfinished.to_owned(), FileState::from_contents(b"mine"));
         manifest.write(&inner).unwrap();
-        let text = RunFolder::open(&inner, OPTIONS).err().unwrap().to_string();
-        assert!(text.contains("work.json: sha256: the file has changed since it was written"), "{text}");
+        assert_refused(&inner, "work.json: sha256: the file has changed since it was written");
         assert_eq!(fs::read_to_string(&outside).unwrap(), "mine");
         fs::remove_dir_all(&inner).unwrap();
     }
@@ -263,7 +259,11 @@ fn leftover_files_are_neither_overwritten_nor_included() {
     for name in ["notes.txt", "a.json", "parts/7"] {
         fs::write(folder.path().join(name), "mine").unwrap();
     }
+    // A process that ended while it wrote the first manifest left this file.
+    let first = folder.path().join(".crumple-unfinished-a");
+    fs::write(&first, "{").unwrap();
     let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
+    assert!(!first.exists());
     for (name, left_over) in [("a.json", "a.json"), ("parts/1", "parts/7")] {
         let text = work.write(name, "ours").unwrap_err().to_string();
         assert!(text.contains(&format!("{left_over}: {UNLISTED_FILE_MESSAGE}")), "{text}");
@@ -282,8 +282,7 @@ fn leftover_files_are_neither_overwritten_nor_included() {
     drop(RunFolder::open(folder.path(), OPTIONS).unwrap());
     assert!(!unfinished.exists());
     fs::write(folder.path().join("parts/2"), "mine").unwrap();
-    let text = RunFolder::open(folder.path(), OPTIONS).unwrap_err().to_string();
-    assert!(text.contains("parts/2: work.json does not list this file"), "{text}");
+    assert_refused(folder.path(), "parts/2: work.json does not list this file");
 }
 
 /// An incomplete run belongs to its build; any build may read a complete one.
@@ -331,24 +330,12 @@ fn damage_of_an_included_folder_is_damage() {
         work.include("rounds/01").unwrap();
         work.write("rounds/found.json", "beside it").unwrap();
         drop(work);
-        let open = || RunFolder::open(folder.path(), OPTIONS).map(|_| ()).map_err(|error| error.to_string());
-        open().unwrap();
+        drop(RunFolder::open(folder.path(), OPTIONS).unwrap());
         fs::write(folder.path().join("rounds/01").join(name), "{}").unwrap();
-        assert!(open().unwrap_err().contains(&format!("rounds/01/{name}: ")));
+        assert_refused(folder.path(), &format!("rounds/01/{name}: "));
         let seen = examine(folder.path()).unwrap().files.into_iter().find(|(_, state)| state.is_err());
         assert_eq!(seen.unwrap().0, format!("rounds/01/{name}"));
     }
-}
-
-/// A process that ends while it writes the first manifest leaves a temporary file, which the next one removes.
-#[test]
-fn unfinished_files_are_removed() {
-    let folder = tempfile::tempdir().unwrap();
-    let left = folder.path().join(".crumple-unfinished-a");
-    fs::write(&left, "{").unwrap();
-    let work = RunFolder::open(folder.path(), OPTIONS).unwrap();
-    work.write("state", "1").unwrap();
-    assert!(!left.exists());
 }
 
 /// Longer files, links, pipes, folders in the place of files, and additional files are named, and never read.
@@ -370,8 +357,7 @@ fn files_of_a_wrong_size_are_not_read() {
             if name.ends_with("left-over.json") && path.is_dir() {
                 continue;
             }
-            let text = RunFolder::open(folder.path(), OPTIONS).err().unwrap().to_string();
-            assert!(text.contains(name), "{name}: {text}");
+            assert_refused(folder.path(), name);
             match examine(folder.path()) {
                 Ok(seen) => {
                     let is_damaged = seen.files.iter().any(|(file, state)| file == name && state.is_err());

@@ -8,7 +8,8 @@ use rayon::prelude::*;
 
 use super::state::{FileState, Prefix};
 use super::{RunFolder, RunFolderError};
-use crate::disk::{self, DiskError};
+use crate::disk::{self, DiskError, none_if_missing};
+use crumple_core::digest::sha256;
 
 /// A set of changes that are not yet applied.
 #[must_use = "nothing is changed before `commit`"]
@@ -62,26 +63,23 @@ impl<'a> FolderTransaction<'a> {
         let (mut next, mut staged) = (manifest.clone(), Vec::new());
         let mut unfinished = manifest.unfinished_names();
         for (name, change) in changes {
-            let (state, contents) = match change {
-                FileChange::Write(contents) => (FileState::from_contents(&contents), contents),
-                FileChange::Remove => {
-                    next.add_pending_removal(&name);
-                    continue;
-                }
+            match change {
+                FileChange::Remove => next.add_pending_removal(&name),
                 // Keep a prefix that is already recorded.
+                FileChange::AppendOnly if next.prefix(&name).is_some() => {}
                 FileChange::AppendOnly => {
-                    if !next.is_append_only(&name) {
-                        next.set_state(&name, FileState::AppendOnly(Prefix::empty()));
-                    }
-                    continue;
+                    next.set_state(&name, FileState::AppendOnly(Prefix { bytes: 0, sha256: sha256("") }))
                 }
-            };
-            if next.whole_file_state(&name) != Some(&state)
-                && let Some(unfinished) = unfinished.next()
-            {
-                let place = work.path(&unfinished);
-                staged.push(stage(place, &contents).map_err(|source| DiskError::at(&work.path(&name))(source))?);
-                next.add_pending_move(&name, unfinished, state);
+                FileChange::Write(contents) => {
+                    let state = FileState::from_contents(&contents);
+                    if next.whole_file_state(&name) != Some(&state)
+                        && let Some(unfinished) = unfinished.next()
+                    {
+                        let file = stage(work.path(&unfinished), &contents);
+                        staged.push(file.map_err(DiskError::at(&work.path(&name)))?);
+                        next.add_pending_move(&name, unfinished, state);
+                    }
+                }
             }
         }
         if next == *manifest {
@@ -99,10 +97,7 @@ impl<'a> FolderTransaction<'a> {
 
 /// Writes the contents of a file under a temporary name, without a sync.
 fn stage(place: PathBuf, contents: &[u8]) -> io::Result<(File, PathBuf)> {
-    match fs::remove_file(&place) {
-        Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error),
-        _ => {}
-    }
+    none_if_missing(fs::remove_file(&place))?;
     let mut file = File::create_new(&place)?;
     file.write_all(contents)?;
     Ok((file, place))

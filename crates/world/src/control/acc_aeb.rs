@@ -10,7 +10,7 @@ settings! {
     AccAebSettings {
         /// Time to collision below which the controller brakes fully, in seconds.
         ttc_s: 1.4, 0.0..=100.0, 0.0..=4.0;
-        /// Desired time headway, bumper to bumper, in seconds (ISO 15622:2018, 6.2.3: at least 0.8 s in steady state).
+        /// Desired time gap in seconds (ISO 15622:2018, 6.2.3: at least 0.8 s in steady state).
         time_headway_s: 0.8, 0.0..=10.0, 0.0..=3.0;
         /// Gap at standstill, in metres.
         standstill_gap_m: 2.0, 0.0..=100.0, 0.0..=5.0;
@@ -25,7 +25,7 @@ settings! {
     }
 }
 
-/// A controller that follows at a constant time headway within comfort limits and brakes fully at a low TTC.
+/// A controller that follows at a constant time gap within comfort limits and brakes fully at a low TTC.
 ///
 /// The command is the usual linear one, a = k_g (gap - s₀ - T v) + k_v (v_ahead - v), with T from bumper to bumper
 /// (Rajamani, *Vehicle Dynamics and Control*, 2nd edition, section 6.6.1 has its constant-time-gap family).
@@ -38,7 +38,7 @@ pub struct AccAeb {
 
 impl BuiltIn for AccAeb {
     const NAME: &'static str = "acc-aeb";
-    const SUMMARY: &'static str = "cruise control at 0.8 s headway, emergency braking while TTC < 1.4 s";
+    const SUMMARY: &'static str = "cruise control at a time gap of 0.8 s, emergency braking while TTC < 1.4 s";
     type Settings = AccAebSettings;
     type Driver = Self;
 
@@ -68,30 +68,18 @@ impl Controller for AccAeb {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{EGO, leader_observation};
+    use super::super::tests::{EGO, command_behind};
     use super::*;
 
     #[test]
     fn cruises_follows_and_brakes() {
         let settings = AccAebSettings::default();
         let mut controller = AccAeb::start(&settings, &EGO, 0);
-        assert_eq!(
-            controller.decide(&leader_observation(25.0, 200.0, 25.0, 0.0)).unwrap(),
-            0.0,
-            "holds its set speed on an open road"
-        );
-        assert_eq!(
-            controller.decide(&leader_observation(25.0, 22.0, 25.0, 0.0)).unwrap(),
-            0.0,
-            "2 m + 0.8 s · 25 m/s is its gap"
-        );
-        assert_eq!(controller.decide(&leader_observation(25.0, 21.0, 25.0, 0.0)).unwrap(), -0.25);
-        assert_eq!(controller.decide(&leader_observation(25.0, 10.0, 20.0, 0.0)).unwrap(), -3.5, "comfort limit");
-        assert_eq!(controller.decide(&leader_observation(25.0, 10.0, 15.0, 0.0)).unwrap(), -7.5, "TTC is 1 s");
-        assert_eq!(
-            controller.decide(&leader_observation(20.0, 200.0, 25.0, 0.0)).unwrap(),
-            2.0,
-            "back to the set speed"
-        );
+        assert_eq!(command_behind(&mut controller, 25.0, 200.0, 25.0, 0.0), 0.0, "holds its set speed on an open road");
+        assert_eq!(command_behind(&mut controller, 25.0, 22.0, 25.0, 0.0), 0.0, "2 m + 0.8 s · 25 m/s is its gap");
+        assert_eq!(command_behind(&mut controller, 25.0, 21.0, 25.0, 0.0), -0.25);
+        assert_eq!(command_behind(&mut controller, 25.0, 10.0, 20.0, 0.0), -3.5, "comfort limit");
+        assert_eq!(command_behind(&mut controller, 25.0, 10.0, 15.0, 0.0), -7.5, "TTC is 1 s");
+        assert_eq!(command_behind(&mut controller, 20.0, 200.0, 25.0, 0.0), 2.0, "back to the set speed");
     }
 }

@@ -72,13 +72,6 @@ macro_rules! define {
                 all.sort_by_key(Self::role);
                 all
             }
-
-            fn with_default_settings(&self) -> Self {
-                match self {
-                    $(Self::$rule(_) => Self::$rule(Default::default()),)*
-                    $(Self::$policy(_) => Self::$policy(Default::default()),)*
-                }
-            }
         }
 
         /// A controller of any kind, ready to drive one vehicle.
@@ -215,8 +208,9 @@ impl ControllerSpec {
     /// Returns the text that [`Self::parse`] parses to this; equal specifications have the same text.
     #[must_use]
     pub fn to_arg(&self) -> String {
-        let default = self.with_default_settings();
-        let set = self.values().zip(default.values()).filter(|(own, default)| own.1 != default.1);
+        let default = Self::from_name(self.name());
+        let default = default.iter().flat_map(Self::values);
+        let set = self.values().zip(default).filter(|(own, default)| own.1 != default.1);
         set.fold(self.name().to_owned(), |words, ((field, value), _)| format!("{words},{}={value}", field.name))
     }
 

@@ -141,7 +141,7 @@ impl Controller for CompetentHuman {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{EGO, leader_observation, stopping_distance_m};
+    use super::super::tests::{EGO, command_behind, leader_observation, stopping_distance_m};
     use super::*;
 
     fn start(settings: &CompetentHumanSettings) -> CompetentHuman {
@@ -179,13 +179,9 @@ mod tests {
         let settings = CompetentHumanSettings::default();
         let mut driver = start(&settings);
         for _ in 0..1000 {
-            assert_eq!(
-                driver.decide(&leader_observation(20.0, 25.0, 20.0, -5.0)).unwrap(),
-                0.0,
-                "not harder than 5 m/s²"
-            );
+            assert_eq!(command_behind(&mut driver, 20.0, 25.0, 20.0, -5.0), 0.0, "not harder than 5 m/s²");
         }
-        let commands = [0; 200].map(|_| driver.decide(&leader_observation(20.0, 25.0, 20.0, -5.1)).unwrap());
+        let commands = [0; 200].map(|_| command_behind(&mut driver, 20.0, 25.0, 20.0, -5.1));
         assert_eq!(commands[..75], [-0.4; 75]);
         assert_eq!(commands[199], -settings.brake_mps2);
         assert!(commands.windows(2).all(|pair| pair[1] <= pair[0] && pair[0] - pair[1] < 0.401));
@@ -199,18 +195,13 @@ mod tests {
             seen.iter().map(|seen| driver.decide(seen).unwrap()).any(|command| command < 0.0)
         };
         let steady = |gap_m: f64| leader_observation(20.0, gap_m, 20.0, 0.0);
+        let far = |ahead_mps: f64| leader_observation(20.0, 200.0, ahead_mps, 0.0);
         assert!(!reacts(&[steady(300.0), leader_observation(20.0, 20.01, 10.0, 0.0)]), "cuts in at 2.001 s");
         assert!(reacts(&[steady(300.0), leader_observation(20.0, 20.0, 10.0, 0.0)]), "cuts in at 2 s");
-        assert!(
-            reacts(&[steady(40.0), leader_observation(20.0, 200.0, 0.0, 0.0)]),
-            "cuts out before a vehicle that stands"
-        );
-        assert!(!reacts(&[steady(45.0), leader_observation(20.0, 200.0, 0.0, 0.0)]), "was followed at more than 2 s");
-        assert!(
-            !reacts(&[steady(40.0), leader_observation(20.0, 200.0, 19.8, 0.0)]),
-            "reveals a vehicle about as fast"
-        );
-        assert!(!reacts(&[leader_observation(20.0, 200.0, 0.0, 0.0)]), "no vehicle has cut out");
+        assert!(reacts(&[steady(40.0), far(0.0)]), "cuts out before a vehicle that stands");
+        assert!(!reacts(&[steady(45.0), far(0.0)]), "was followed at more than 2 s");
+        assert!(!reacts(&[steady(40.0), far(19.8)]), "reveals a vehicle about as fast");
+        assert!(!reacts(&[far(0.0)]), "no vehicle has cut out");
     }
 
     /// A leader that brakes softly is a risk once it has lost 0.5 m/s beyond coasting; one that only coasts is none.
@@ -221,7 +212,7 @@ mod tests {
             let mut has_reacted = false;
             for step in 0..600 {
                 let front_mps = 20.0 + mps2 * 0.01 * f64::from(step);
-                has_reacted |= driver.decide(&leader_observation(20.0, 40.0, front_mps, mps2)).unwrap() < 0.0;
+                has_reacted |= command_behind(&mut driver, 20.0, 40.0, front_mps, mps2) < 0.0;
             }
             assert_eq!(has_reacted, reacts, "{mps2} m/s²");
         }
@@ -237,8 +228,7 @@ mod tests {
             let mut driver = start(&CompetentHumanSettings::default());
             while own > 0.0 {
                 let front_mps2 = if front > 0.0 { -brake_mps2 } else { 0.0 };
-                let command =
-                    driver.decide(&leader_observation(own, gap_m, front, front_mps2)).unwrap().max(-EGO.max_brake_mps2);
+                let command = command_behind(&mut driver, own, gap_m, front, front_mps2).max(-EGO.max_brake_mps2);
                 let (next_own, next_front) = ((own + command * 0.01).max(0.0), (front - brake_mps2 * 0.01).max(0.0));
                 gap_m += 0.5 * (front + next_front - own - next_own) * 0.01;
                 (own, front) = (next_own, next_front);

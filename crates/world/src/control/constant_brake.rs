@@ -52,15 +52,15 @@ impl Controller for ConstantBrake {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{EGO, leader_observation};
+    use super::super::tests::{EGO, command_behind};
     use super::*;
 
     #[test]
     fn brakes_five_steps_after_it_sees_braking() {
         let mut controller = ConstantBrake::start(&ConstantBrakeSettings::default(), &EGO, 0);
-        assert_eq!(controller.decide(&leader_observation(25.0, 16.0, 25.0, -1.0)).unwrap(), 0.0, "below the trigger");
-        let commands = [0; 7].map(|_| controller.decide(&leader_observation(25.0, 16.0, 25.0, -3.0)).unwrap());
+        assert_eq!(command_behind(&mut controller, 25.0, 16.0, 25.0, -1.0), 0.0, "below the trigger");
+        let commands = [0; 7].map(|_| command_behind(&mut controller, 25.0, 16.0, 25.0, -3.0));
         assert_eq!(commands, [0.0, 0.0, 0.0, 0.0, 0.0, -3.25, -3.25]);
-        assert_eq!(controller.decide(&leader_observation(25.0, 16.0, 25.0, 0.0)).unwrap(), -3.25, "to standstill");
+        assert_eq!(command_behind(&mut controller, 25.0, 16.0, 25.0, 0.0), -3.25, "to standstill");
     }
 }

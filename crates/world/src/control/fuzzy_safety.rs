@@ -46,7 +46,6 @@ fn membership(gap_m: f64, safe_m: f64, unsafe_m: f64) -> f64 {
 
 impl FuzzySafetySettings {
     /// Returns the proactive metric, 0 to 1: the danger from a leader that brakes at `ahead_brake_mps2`.
-    #[must_use]
     pub(crate) fn proactive(&self, speed_mps: f64, ahead: &Neighbour) -> f64 {
         let Self { reaction_s, comfortable_brake_mps2, hardest_brake_mps2, ahead_brake_mps2, .. } = *self;
         let needed_m = |brake_mps2: f64| {
@@ -59,7 +58,6 @@ impl FuzzySafetySettings {
 
     /// Returns the critical metric, 0 to 1: the danger from a leader that holds its speed. Until the driver reacts, its
     /// current acceleration lasts, limited to the comfortable deceleration.
-    #[must_use]
     pub(crate) fn critical(&self, speed_mps: f64, acceleration_mps2: f64, ahead: &Neighbour) -> f64 {
         let Self { reaction_s, comfortable_brake_mps2, hardest_brake_mps2, .. } = *self;
         let closing_mps = speed_mps - ahead.speed_mps;

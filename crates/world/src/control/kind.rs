@@ -62,6 +62,10 @@ impl ControllerKind {
         }
     }
 
+    fn process(&self) -> Option<&ProcessController> {
+        if let Self::Process(process) = self.unshielded() { Some(process) } else { None }
+    }
+
     /// Returns the controller file, network or FMU that defines the mapping or the command, if there is one.
     #[must_use]
     pub fn file(&self) -> Option<&Path> {
@@ -75,10 +79,7 @@ impl ControllerKind {
     /// Returns warnings, one line each: differences between a network's mapping and the spaces of its training.
     #[must_use]
     pub fn warnings(&self) -> Vec<String> {
-        match self.unshielded() {
-            Self::Network(network) => network.warnings(),
-            _ => Vec::new(),
-        }
+        if let Self::Network(network) = self.unshielded() { network.warnings() } else { Vec::new() }
     }
 
     /// Returns the time between decisions, in seconds. `None` for every step, or if only the process knows it.
@@ -117,10 +118,7 @@ impl ControllerKind {
     /// Returns false for a process that its file or its handshake declares nondeterministic.
     #[must_use]
     pub fn is_deterministic(&self) -> bool {
-        match self.unshielded() {
-            Self::Process(process) => process.is_deterministic(),
-            _ => true,
-        }
+        self.process().is_none_or(ProcessController::is_deterministic)
     }
 
     /// Starts the program of a process without a run, and ends it.
@@ -128,27 +126,18 @@ impl ControllerKind {
     /// # Errors
     /// [`ControllerFailure`] of a process that cannot be started or does not complete the handshake.
     pub(crate) fn try_start(&self) -> Result<(), ControllerFailure> {
-        match self.unshielded() {
-            Self::Process(process) => process.try_start(),
-            _ => Ok(()),
-        }
+        self.process().map_or(Ok(()), ProcessController::try_start)
     }
 
     /// Returns the reason to reject all runs of a process: it proved nondeterministic, or does not start any more.
     #[must_use]
     pub fn refusal(&self) -> Option<ControllerFailure> {
-        match self.unshielded() {
-            Self::Process(process) => process.refusal(),
-            _ => None,
-        }
+        self.process().and_then(ProcessController::refusal)
     }
 
     /// Returns true if the controller can run in lockstep; false for a process without batches.
     pub(crate) fn supports_lockstep(&self, ego: impl FnOnce() -> Ego) -> bool {
-        match self.unshielded() {
-            Self::Process(process) => process.supports_batches(&ego()),
-            _ => true,
-        }
+        self.process().is_none_or(|process| process.supports_batches(&ego()))
     }
 
     pub(crate) fn required_neighbours(&self) -> RequiredNeighbours {

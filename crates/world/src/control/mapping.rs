@@ -168,14 +168,12 @@ impl Mapping {
             Q::AccelerationBehindMps2,
         ];
         let input = |(quantity, (offset, scale))| InputMapping {
-            quantity: Some(quantity),
-            variable: None,
-            constant: None,
             offset,
             scale,
             low: -limit,
             high: limit,
             absent: matches!(quantity, Q::GapAheadM | Q::GapBehindM).then_some(empty_gap_m),
+            ..InputMapping::unscaled(quantity)
         };
         Self {
             decision_interval_s: Some(NATIVE_INTERVAL_S),
@@ -230,7 +228,6 @@ impl Mapping {
         }
     }
 
-    #[must_use]
     pub(crate) fn width(&self) -> usize {
         self.inputs.len() * self.history
     }
@@ -294,7 +291,6 @@ impl Mapping {
     }
 
     /// Returns the unclipped acceleration of an answer, and its allowed range, in m/s².
-    #[must_use]
     pub(crate) fn acceleration_and_range_mps2(&self, answer: f64) -> (f64, [f64; 2]) {
         let OutputMapping { squash, scale_mps2, offset_mps2, low_mps2, high_mps2, .. } = self.output;
         let answer = match squash {
@@ -356,7 +352,6 @@ impl InputMapping {
         Ok(())
     }
 
-    #[must_use]
     pub(crate) fn limits(&self) -> [f64; 2] {
         match self.constant {
             Some(constant) => [self.scaled(constant); 2],

@@ -204,6 +204,17 @@ pub(crate) mod tests {
         Observation { speed_mps, acceleration_mps2: 0.0, ahead: Some(ahead), behind: None }
     }
 
+    /// Returns the command for [`leader_observation`] with these arguments.
+    pub(crate) fn command_behind(
+        driver: &mut impl Controller,
+        speed_mps: f64,
+        gap_m: f64,
+        ahead_mps: f64,
+        ahead_mps2: f64,
+    ) -> f64 {
+        driver.decide(&leader_observation(speed_mps, gap_m, ahead_mps, ahead_mps2)).unwrap()
+    }
+
     /// Returns the stopping distance from `speed_mps` of a driver that observes `seen` at each speed.
     pub(crate) fn stopping_distance_m(
         mut driver: impl Controller,

@@ -92,22 +92,18 @@ impl NetworkController {
         }
     }
 
-    #[must_use]
     pub(crate) fn with_file_path(self, path: &Path) -> Self {
         Self { file_path: Some(path.to_owned()), ..self }
     }
 
-    #[must_use]
     pub(crate) fn file_path(&self) -> Option<&Path> {
         self.file_path.as_deref()
     }
 
-    #[must_use]
     pub(crate) fn with_normalised(self, normalised: Option<bool>) -> Self {
         Self { normalised, ..self }
     }
 
-    #[must_use]
     pub(crate) fn normalised(&self) -> Option<bool> {
         self.normalised
     }
@@ -162,7 +158,6 @@ pub(crate) struct NetworkDriver {
 }
 
 impl NetworkDriver {
-    #[must_use]
     pub(crate) fn new(controller: Arc<NetworkController>, ego: &Ego) -> Self {
         let interval = DecisionTimer::new(controller.mapping.decision_interval_s, ego.step_s);
         Self {

@@ -65,7 +65,7 @@ impl Controller for R157Simple {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{EGO, leader_observation, stopping_distance_m};
+    use super::super::tests::{EGO, command_behind, leader_observation, stopping_distance_m};
     use super::*;
 
     #[test]
@@ -86,7 +86,7 @@ mod tests {
             let (mut gap_m, mut speed_mps) = (300.0, v);
             let mut driver = R157Simple::start(&settings, &EGO, 0);
             while speed_mps > 0.0 {
-                let a = driver.decide(&leader_observation(speed_mps, gap_m, 0.0, 0.0)).unwrap();
+                let a = command_behind(&mut driver, speed_mps, gap_m, 0.0, 0.0);
                 let next_mps = speed_mps + a * EGO.step_s;
                 gap_m -= if next_mps > 0.0 {
                     0.5 * (speed_mps + next_mps) * EGO.step_s

@@ -23,7 +23,6 @@ settings! {
 impl RssSettings {
     /// Returns the safe distance behind a leader at `ahead_mps`, in metres (the paper's safe longitudinal distance, one
     /// direction): [v ρ + a ρ²/2 + (v + a ρ)²/(2 b) - v_f²/(2 b_f)]₊.
-    #[must_use]
     pub(crate) fn safe_distance_m(&self, speed_mps: f64, ahead_mps: f64) -> f64 {
         let Self { response_s, accel_mps2, brake_mps2, ahead_brake_mps2 } = *self;
         let fastest_mps = speed_mps + accel_mps2 * response_s;
@@ -73,7 +72,7 @@ impl Controller for Rss {
 
 #[cfg(test)]
 mod tests {
-    use super::super::tests::{EGO, leader_observation, stopping_distance_m};
+    use super::super::tests::{EGO, command_behind, leader_observation, stopping_distance_m};
     use super::*;
 
     #[test]
@@ -108,7 +107,7 @@ mod tests {
             let (mut gap_m, mut own, mut front) = (settings.safe_distance_m(v, ahead), v, ahead);
             let mut driver = Rss::start(&settings, &EGO, 0);
             for _ in 0..3000 {
-                let a = driver.decide(&leader_observation(own, gap_m, front, -7.5)).unwrap();
+                let a = command_behind(&mut driver, own, gap_m, front, -7.5);
                 let (next_own, next_front) = ((own + a * 0.01).max(0.0), (front - 0.075).max(0.0));
                 gap_m += 0.5 * (front + next_front - own - next_own) * 0.01;
                 (own, front) = (next_own, next_front);

@@ -144,14 +144,12 @@ pub(crate) struct ZeroOrderHold {
 
 impl ZeroOrderHold {
     /// Creates a hold with decisions every `interval_s` seconds from the first step on, or at every step.
-    #[must_use]
     pub(crate) fn new(controller: Box<dyn Controller>, interval_s: Option<f64>, step_s: f64) -> Self {
         let interval = DecisionTimer::new(interval_s, step_s);
         Self { controller, batch_source: None, decision_timer: interval, observation: None, command_mps2: 0.0 }
     }
 
     /// Batches queries with others of `source` if it [supports batches](ControllerSource::batch_controller).
-    #[must_use]
     pub(crate) fn with_batching(mut self, source: &Arc<dyn ControllerSource>) -> Self {
         self.batch_source = source.batch_controller().is_some().then(|| Arc::clone(source));
         self

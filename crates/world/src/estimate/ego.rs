@@ -40,7 +40,6 @@ impl EgoTuning {
     /// by `deviations` steady-state standard deviations. Only the leader misleads a filter: the own acceleration is fed
     /// forward. For a vehicle that stops within a step, the bounds use its mean acceleration over the step; this omits
     /// a position error below a h²/8.
-    #[must_use]
     pub(crate) fn worst_errors(&self, spans_mps2: [f64; 2], deviations: f64) -> [f64; 3] {
         let [own_mps2, ahead_mps2] = spans_mps2;
         let worst = |tuning: &Tuning, span_mps2: f64| {

@@ -83,7 +83,6 @@ impl Tuning {
     ///
     /// The error is linear in the acceleration, so its maximum is the sum of the absolute responses to a unit step. A
     /// constant acceleration leaves no error: only half the width of a range of accelerations counts, not its position.
-    #[must_use]
     pub(crate) fn manoeuvre_errors(&self) -> [f64; 2] {
         let h = self.step_s;
         let mut filter = Filter::new_steady(self, 0.0, 0.0, [0.0; 3]);
@@ -267,19 +266,14 @@ mod tests {
     fn the_steady_covariance_is_where_the_recursion_ends() {
         for (step, noise, bandwidth) in [(0.01, 0.03, 5.0), (0.001, 1e-4, 5.0), (0.1, 2.0, 3.0), (1.0, 10.0, 5.0)] {
             let tuning = Tuning::new(step, noise, bandwidth);
-            let once_more = tuning.predict_covariance(&tuning.correct_covariance(&tuning.steady_covariance));
-            assert!(
-                (once_more - tuning.steady_covariance).amax() <= 1e-9 * tuning.steady_covariance.amax(),
-                "step {step}"
-            );
-            let mut from_afar = tuning.steady_covariance * 4.0;
+            let steady = tuning.steady_covariance;
+            let once_more = tuning.predict_covariance(&tuning.correct_covariance(&steady));
+            assert!((once_more - steady).amax() <= 1e-9 * steady.amax(), "step {step}");
+            let mut from_afar = steady * 4.0;
             for _ in 0..(20.0 / step) as usize + 100 {
                 from_afar = tuning.predict_covariance(&tuning.correct_covariance(&from_afar));
             }
-            assert!(
-                (from_afar - tuning.steady_covariance).amax() <= 1e-6 * tuning.steady_covariance.amax(),
-                "step {step}"
-            );
+            assert!((from_afar - steady).amax() <= 1e-6 * steady.amax(), "step {step}");
         }
     }
 

@@ -85,7 +85,6 @@ impl Approach {
     }
 
     /// Creates the approach of the follower of vehicle `front` to it; `None` without a follower.
-    #[must_use]
     pub(super) fn from_trace_behind(trace: &Trace, impacts: &[Impact], front: usize) -> Option<Self> {
         let contact = impacts.iter().map(|impact| &impact.contact).find(|contact| contact.front_vehicle == front);
         let behind = front.checked_add(1)?..trace.vehicles.len();
@@ -191,15 +190,14 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::measure::testing::{driven_track, impact, trace};
+    use crate::measure::testing::{driven_track, impact, pair_trace, trace};
 
     #[test]
     fn the_smallest_gap_between_samples_is_found() {
         // Gap 10 m, rear 20 m/s brakes at 5 m/s² behind a steady 15 m/s: equal speeds after 1 s, 5² / (2 * 5) = 2.5 m
         // closer. Samples at 0, 0.8 and 1.6 s miss that instant.
-        let front = driven_track(2.0, 12.0, 15.0, &[(1.6, 0.0)], 0.8);
-        let rear = driven_track(2.0, 0.0, 20.0, &[(1.6, -5.0)], 0.8);
-        let approach = Approach::from_trace(&trace(vec![front, rear], 0.8), &[], 1).unwrap();
+        let pair = pair_trace(10.0, [(15.0, &[(1.6, 0.0)]), (20.0, &[(1.6, -5.0)])], 0.8);
+        let approach = Approach::from_trace(&pair, &[], 1).unwrap();
         assert!((approach.min_gap_m().unwrap() - 7.5).abs() < 1e-12);
         assert!(!approach.has_contact());
         assert_eq!(approach.standstill_gap_m(), None, "both still move");
@@ -208,9 +206,7 @@ mod tests {
     #[test]
     fn an_approach_ends_at_the_contact_and_not_before_or_after() {
         // Gap 10 m closes at 4 m/s: contact after 2.5 s, between the samples at 2 and 3 s.
-        let front = driven_track(2.0, 12.0, 10.0, &[(5.0, 0.0)], 1.0);
-        let rear = driven_track(2.0, 0.0, 14.0, &[(5.0, 0.0)], 1.0);
-        let trace = trace(vec![front, rear], 1.0);
+        let trace = pair_trace(10.0, [(10.0, &[(5.0, 0.0)]), (14.0, &[(5.0, 0.0)])], 1.0);
         let approach = Approach::from_trace(&trace, &[impact(2.5, 0, 10.0, 14.0)], 1).unwrap();
         assert_eq!(approach.states().map(|s| s.time_s).collect::<Vec<_>>(), [0.0, 1.0, 2.0, 2.5]);
         assert_eq!((approach.has_contact(), approach.min_gap_m()), (true, Some(0.0)));
@@ -223,9 +219,8 @@ mod tests {
     #[test]
     fn standstill_gaps_are_those_at_rest() {
         // 10 m/s at 5 m/s² takes 10 m, 12 m/s at 6 m/s² takes 12 m: 8 m become 6 m.
-        let front = driven_track(2.0, 10.0, 10.0, &[(3.0, -5.0)], 0.5);
-        let rear = driven_track(2.0, 0.0, 12.0, &[(3.0, -6.0)], 0.5);
-        let approach = Approach::from_trace(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
+        let pair = pair_trace(8.0, [(10.0, &[(3.0, -5.0)]), (12.0, &[(3.0, -6.0)])], 0.5);
+        let approach = Approach::from_trace(&pair, &[], 1).unwrap();
         assert!((approach.standstill_gap_m().unwrap() - 6.0).abs() < 1e-12);
     }
 

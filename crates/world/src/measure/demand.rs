@@ -114,7 +114,7 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::measure::testing::{driven_track, impact, trace};
+    use crate::measure::testing::{driven_track, impact, pair_trace, trace};
 
     #[test]
     fn deceleration_rate_to_avoid_a_crash_by_hand() {
@@ -144,9 +144,7 @@ mod tests {
         // From then on the follower brakes harder than required, and required deceleration falls. A time s later the
         // speeds are 16 - 8 s and 20 - 10 s, the closing speed is 4 - 2 s and the gap 9 - 4 s + s². At s = 1.5 DRAC is
         // 1² / (2 * 5.25); it is largest at s = 0.
-        let front = driven_track(2.0, 12.0, 20.0, &[(3.0, -8.0)], 0.5);
-        let rear = driven_track(2.0, 0.0, 20.0, &[(0.5, 0.0), (2.5, -10.0)], 0.5);
-        let mut trace = trace(vec![front, rear], 0.5);
+        let mut trace = pair_trace(10.0, [(20.0, &[(3.0, -8.0)]), (20.0, &[(0.5, 0.0), (2.5, -10.0)])], 0.5);
         let induced = InducedBraking::from_trace(&trace, &[], 0).unwrap();
         assert_eq!(induced.peak_brake_mps2, Some(10.0));
         assert!((induced.max_required_brake_mps2.unwrap() - 8.0).abs() < 1e-12);
@@ -156,10 +154,8 @@ mod tests {
         // After a collision at 0.4 s, later braking does not count, and no deceleration would have sufficed.
         trace.vehicles[1].acceleration_mps2[0] = -1.0;
         let collided = InducedBraking::from_trace(&trace, &[impact(0.4, 0, 16.8, 20.0)], 0).unwrap();
-        assert_eq!(
-            collided,
-            InducedBraking { peak_brake_mps2: Some(1.0), max_drac_mps2: None, max_required_brake_mps2: None }
-        );
+        let InducedBraking { peak_brake_mps2, max_drac_mps2, max_required_brake_mps2 } = collided;
+        assert_eq!((peak_brake_mps2, max_drac_mps2, max_required_brake_mps2), (Some(1.0), None, None));
     }
 
     proptest! {

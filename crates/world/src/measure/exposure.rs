@@ -13,7 +13,6 @@ pub const TTC_THRESHOLD_S: f64 = 3.0;
 
 /// Exposure to short times to collision.
 #[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct TtcExposure {
     /// TET: duration of a time to collision below the threshold, in seconds.
@@ -70,16 +69,15 @@ mod tests {
     use proptest::prelude::*;
 
     use super::*;
-    use crate::measure::testing::{driven_track, impact, trace};
+    use crate::measure::testing::{driven_track, impact, pair_trace, trace};
     use crate::sim::Trace;
 
     #[test]
     fn a_steady_approach_by_hand() {
         // Gap 20 m closes at 5 m/s: TTC = 4 - t, contact at t = 4 s, between samples (0.7 s apart). Below 3 s from
         // t = 1 on: TET = 3 s. The shortfall grows from 0 to 3 s over these 3 s: TIT = 3 * 3 / 2 s².
-        let front = driven_track(2.0, 22.0, 10.0, &[(4.9, 0.0)], 0.7);
-        let rear = driven_track(2.0, 0.0, 15.0, &[(4.9, 0.0)], 0.7);
-        let approach = Approach::from_trace(&trace(vec![front, rear], 0.7), &[impact(4.0, 0, 10.0, 15.0)], 1).unwrap();
+        let pair = pair_trace(20.0, [(10.0, &[(4.9, 0.0)]), (15.0, &[(4.9, 0.0)])], 0.7);
+        let approach = Approach::from_trace(&pair, &[impact(4.0, 0, 10.0, 15.0)], 1).unwrap();
         let TtcExposure { tet_s, tit_s2 } = approach.ttc_exposure(3.0);
         assert!((tet_s - 3.0).abs() < 1e-12 && (tit_s2 - 4.5).abs() < 1e-12, "{tet_s} {tit_s2}");
         let TtcExposure { tet_s, tit_s2 } = approach.ttc_exposure(1.0);
@@ -92,18 +90,16 @@ mod tests {
         // Threshold 2 s. Gap 17 m closes at 10 m/s: TTC 1.7, shortfall 0.3, excess 2 * 10 - 17 = 3 m. The rear vehicle
         // brakes at 8 m/s² for 0.5 s: gap 13 m closes at 6 m/s, excess 2 * 6 - 13 = -1 m. Exposed for 3/4 of the step:
         // TET = 0.375 s, TIT = 0.375 * 0.3 / 2 s².
-        let front = driven_track(2.0, 19.0, 10.0, &[(0.5, 0.0)], 0.5);
-        let rear = driven_track(2.0, 0.0, 20.0, &[(0.5, -8.0)], 0.5);
-        let approach = Approach::from_trace(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
+        let pair = pair_trace(17.0, [(10.0, &[(0.5, 0.0)]), (20.0, &[(0.5, -8.0)])], 0.5);
+        let approach = Approach::from_trace(&pair, &[], 1).unwrap();
         let TtcExposure { tet_s, tit_s2 } = approach.ttc_exposure(2.0);
         assert!((tet_s - 0.375).abs() < 1e-12 && (tit_s2 - 0.05625).abs() < 1e-12, "{tet_s} {tit_s2}");
     }
 
     #[test]
     fn an_opening_gap_adds_no_exposure() {
-        let front = driven_track(2.0, 3.0, 15.0, &[(5.0, 0.0)], 0.5);
-        let rear = driven_track(2.0, 0.0, 15.0, &[(5.0, -1.0)], 0.5);
-        let approach = Approach::from_trace(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
+        let pair = pair_trace(1.0, [(15.0, &[(5.0, 0.0)]), (15.0, &[(5.0, -1.0)])], 0.5);
+        let approach = Approach::from_trace(&pair, &[], 1).unwrap();
         assert_eq!(approach.ttc_exposure(TTC_THRESHOLD_S), TtcExposure::default());
     }
 

@@ -137,7 +137,7 @@ impl LeadMeasures {
 mod tests {
     use proptest::prelude::*;
 
-    use super::testing::{driven_track, impact, trace};
+    use super::testing::{driven_track, impact, pair_trace, trace};
     use super::*;
     use crate::sim::Track;
 
@@ -168,9 +168,8 @@ mod tests {
 
     #[test]
     fn measures_survive_json() {
-        let front = driven_track(2.0, 12.0, 10.0, &[(5.0, -1.0)], 1.0);
-        let rear = driven_track(2.0, 0.0, 14.0, &[(5.0, 0.0)], 1.0);
-        for measures in measure_all(&trace(vec![front, rear], 1.0), &[impact(1.7, 0, 8.3, 14.0)]) {
+        let pair = pair_trace(10.0, [(10.0, &[(5.0, -1.0)]), (14.0, &[(5.0, 0.0)])], 1.0);
+        for measures in measure_all(&pair, &[impact(1.7, 0, 8.3, 14.0)]) {
             let json = serde_json::to_string(&measures).unwrap();
             assert_eq!(serde_json::from_str::<Measures>(&json).unwrap(), measures, "{json}");
         }

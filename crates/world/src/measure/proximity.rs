@@ -62,7 +62,7 @@ impl Approach {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::measure::testing::{driven_track, trace};
+    use crate::measure::testing::pair_trace;
 
     #[test]
     fn time_to_collision_by_hand() {
@@ -86,9 +86,8 @@ mod tests {
         // t = 0: gap 20, closing 10: TTC 2.    t = 1: gap 10, closing 10: TTC 1, time gap 10 / 20.
         // t = 1.5: rear 15, closing 5, gap 10 - 3.75 = 6.25: TTC 1.25, time gap 6.25 / 15 = 5 / 12, headway 8.25 / 15.
         // t = 2: rear 10, gap 5, not closing: time gap 5 / 10, headway 7 / 10.
-        let front = driven_track(2.0, 22.0, 10.0, &[(2.0, 0.0)], 0.5);
-        let rear = driven_track(2.0, 0.0, 20.0, &[(1.0, 0.0), (1.0, -10.0)], 0.5);
-        let approach = Approach::from_trace(&trace(vec![front, rear], 0.5), &[], 1).unwrap();
+        let pair = pair_trace(20.0, [(10.0, &[(2.0, 0.0)]), (20.0, &[(1.0, 0.0), (1.0, -10.0)])], 0.5);
+        let approach = Approach::from_trace(&pair, &[], 1).unwrap();
         let near = |value: Option<f64>, by_hand: f64| (value.unwrap() - by_hand).abs() < 1e-12;
         assert!(near(approach.min_ttc_s(), 1.0));
         assert!(near(approach.min_time_gap_s(), 5.0 / 12.0));

@@ -43,7 +43,7 @@ pub enum SpecificationError {
     Parse(#[from] FormulaParseError),
     /// A text without a comparison that is not a rule either, such as a misspelt rule.
     #[error(
-        "{formula}; nor is this `{}`, or a rule as {} are",
+        "{formula}. Other specifications: `{}`, {}",
         Specification::NO_CONTACT,
         DrivingRule::EXAMPLES.map(|rule| format!("`{rule}`")).join(", ")
     )]
@@ -201,10 +201,7 @@ impl Specification {
     /// Returns a warning if a part of a formula is evaluated only at the first sample.
     #[must_use]
     pub fn warning(&self) -> Option<String> {
-        match self {
-            Self::Formula(formula) => formula.warning(),
-            Self::NoContact | Self::DrivingRule(_) => None,
-        }
+        if let Self::Formula(formula) = self { formula.warning() } else { None }
     }
 
     /// Returns the recording level that [`Self::evaluate`] needs.

@@ -151,13 +151,9 @@ impl<'a> Machine<'a> {
                 let bytes = self.take_array()?;
                 self.push(Object::Integer(i32::from_le_bytes(bytes).into()))
             }
-            b'K' => {
-                let [byte] = self.take_array()?;
-                self.push(Object::Integer(byte.into()))
-            }
-            b'M' => {
-                let bytes = self.take_array()?;
-                self.push(Object::Integer(u16::from_le_bytes(bytes).into()))
+            b'K' | b'M' => {
+                let number = self.take_uint(if operation == b'K' { 1 } else { 2 })?;
+                self.push(Object::Integer(number.cast_signed()))
             }
             0x8a => self.long(),
             b'G' => {
@@ -173,13 +169,9 @@ impl<'a> Machine<'a> {
             b'}' => self.push(Object::Dict(Vec::new())),
             b']' => self.push(Object::List(Vec::new())),
             b')' => self.push(Object::Tuple(Vec::new())),
-            b't' => {
+            b't' | b'l' => {
                 let members = self.pop_to_mark()?;
-                self.push(Object::Tuple(members))
-            }
-            b'l' => {
-                let members = self.pop_to_mark()?;
-                self.push(Object::List(members))
+                self.push(if operation == b't' { Object::Tuple(members) } else { Object::List(members) })
             }
             0x85..=0x87 => {
                 let count = usize::from(operation - 0x84);
@@ -223,29 +215,17 @@ impl<'a> Machine<'a> {
                 let members = self.pop_to_mark()?;
                 self.set_items(&members)
             }
-            b'a' => {
-                let member = self.pop()?;
-                self.append(&[member])
-            }
-            b'e' => {
-                let members = self.pop_to_mark()?;
+            b'a' | b'e' => {
+                let members = if operation == b'a' { vec![self.pop()?] } else { self.pop_to_mark()? };
                 self.append(&members)
             }
-            b'q' => {
-                let [place] = self.take_array()?;
-                self.memoize(place.into())
-            }
-            b'r' => {
-                let place = u32::from_le_bytes(self.take_array()?);
+            b'q' | b'r' => {
+                let place = self.take_uint(if operation == b'q' { 1 } else { 4 })?;
                 self.memoize(place as usize)
             }
             0x94 => self.memoize(self.memo.len()),
-            b'h' => {
-                let [place] = self.take_array()?;
-                self.get_memo(place.into())
-            }
-            b'j' => {
-                let place = u32::from_le_bytes(self.take_array()?);
+            b'h' | b'j' => {
+                let place = self.take_uint(if operation == b'h' { 1 } else { 4 })?;
                 self.get_memo(place as usize)
             }
             b'Q' => {
@@ -262,11 +242,15 @@ impl<'a> Machine<'a> {
         Ok(*bytes)
     }
 
+    fn take_uint(&mut self, bytes: usize) -> Result<u64, NetworkError> {
+        let (number, rest) = self.rest.split_at_checked(bytes).ok_or_else(|| damaged("it is cut off"))?;
+        self.rest = rest;
+        Ok(number.iter().rev().fold(0, |number, &byte| number << 8 | u64::from(byte)))
+    }
+
     fn take_length_prefixed(&mut self, bytes: usize) -> Result<&'a [u8], NetworkError> {
-        let (count, rest) = self.rest.split_at_checked(bytes).ok_or_else(|| damaged("it is cut off"))?;
-        let count = count.iter().rev().fold(0_u64, |number, &byte| number << 8 | u64::from(byte));
-        let count = usize::try_from(count).unwrap_or(usize::MAX);
-        let (taken, rest) = rest.split_at_checked(count).ok_or_else(|| damaged("a part longer than the whole"))?;
+        let count = usize::try_from(self.take_uint(bytes)?).unwrap_or(usize::MAX);
+        let (taken, rest) = self.rest.split_at_checked(count).ok_or_else(|| damaged("a part longer than the whole"))?;
         self.rest = rest;
         Ok(taken)
     }

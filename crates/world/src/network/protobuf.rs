@@ -74,14 +74,7 @@ impl<'a> WireValue<'a> {
     /// Appends single-precision numbers of a repeated field, packed or not.
     pub(super) fn floats(self, into: &mut Vec<f32>) -> Result<(), NetworkError> {
         match self {
-            Self::Bytes(packed) => {
-                let (values, rest) = packed.as_chunks::<4>();
-                if !rest.is_empty() {
-                    return Err(damaged("packed numbers that end within one"));
-                }
-                into.extend(values.iter().map(|&bytes| f32::from_le_bytes(bytes)));
-                Ok(())
-            }
+            Self::Bytes(packed) => unpack(packed, into, f32::from_le_bytes),
             one => one.float().map(|one| into.push(one)),
         }
     }
@@ -89,14 +82,7 @@ impl<'a> WireValue<'a> {
     /// Appends double-precision numbers of a repeated field, rounded to single.
     pub(super) fn doubles(self, into: &mut Vec<f32>) -> Result<(), NetworkError> {
         match self {
-            Self::Bytes(packed) => {
-                let (values, rest) = packed.as_chunks::<8>();
-                if !rest.is_empty() {
-                    return Err(damaged("packed numbers that end within one"));
-                }
-                into.extend(values.iter().map(|&bytes| f64::from_le_bytes(bytes) as f32));
-                Ok(())
-            }
+            Self::Bytes(packed) => unpack(packed, into, |bytes| f64::from_le_bytes(bytes) as f32),
             Self::Fixed64(bits) => {
                 into.push(f64::from_bits(bits) as f32);
                 Ok(())
@@ -104,6 +90,16 @@ impl<'a> WireValue<'a> {
             _ => Err(damaged("something else where a number of double precision is wanted")),
         }
     }
+}
+
+fn unpack<const N: usize>(
+    packed: &[u8],
+    into: &mut Vec<f32>,
+    number: impl Fn([u8; N]) -> f32,
+) -> Result<(), NetworkError> {
+    let (values, rest) = packed.as_chunks();
+    into.extend(values.iter().map(|&bytes| number(bytes)));
+    if rest.is_empty() { Ok(()) } else { Err(damaged("packed numbers that end within one")) }
 }
 
 pub(super) struct Message<'a>(pub(super) &'a [u8]);

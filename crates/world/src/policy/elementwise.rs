@@ -39,7 +39,6 @@ pub enum Elementwise {
 
 impl Elementwise {
     /// Returns the number of operands; `None` without operands.
-    #[must_use]
     pub(crate) fn width(&self) -> Option<usize> {
         match self {
             Self::Add(operands) | Self::Multiply(operands) | Self::Divide(operands) => Some(operands.len()),
@@ -73,23 +72,20 @@ impl Elementwise {
         let of = |operands: &[f32]| operands.get(index).copied().map_or(f64::NAN, f64::from);
         let sorted = |a: f64, b: f64| if a <= b { [a, b] } else { [b, a] };
         let both = |f: &dyn Fn(f64) -> f64| [f(low), f(high)];
+        let below_zero = |f: &dyn Fn(f64) -> f64| {
+            let [a, b] = [low, high].map(|x| if x < 0.0 { f(x) } else { x });
+            let [a, b] = sorted(a, b);
+            // A negative factor has its extremum at 0.
+            if low < 0.0 && high > 0.0 { [a.min(0.0), b.max(0.0)] } else { [a, b] }
+        };
         match self {
             Self::Add(operands) => both(&|x| x + of(operands)),
             Self::Multiply(operands) => sorted(low * of(operands), high * of(operands)),
             Self::Divide(operands) => sorted(low / of(operands), high / of(operands)),
             Self::Clip { low, high } => both(&|x| x.max(of(low)).min(of(high))),
             Self::Relu => both(&|x| x.max(0.0)),
-            Self::LeakyRelu { slope } => {
-                let of = |x: f64| if x < 0.0 { f64::from(*slope) * x } else { x };
-                let [a, b] = sorted(of(low), of(high));
-                // A negative slope has its extremum at 0.
-                if low < 0.0 && high > 0.0 { [a.min(0.0), b.max(0.0)] } else { [a, b] }
-            }
-            Self::Elu { alpha } => {
-                let of = |x: f64| if x < 0.0 { f64::from(*alpha) * libm::expm1(x) } else { x };
-                let [a, b] = sorted(of(low), of(high));
-                if low < 0.0 && high > 0.0 { [a.min(0.0), b.max(0.0)] } else { [a, b] }
-            }
+            Self::LeakyRelu { slope } => below_zero(&|x| f64::from(*slope) * x),
+            Self::Elu { alpha } => below_zero(&|x| f64::from(*alpha) * libm::expm1(x)),
             Self::Tanh => both(&libm::tanh),
             Self::Sigmoid => both(&|x| 1.0 / (1.0 + libm::exp(-x))),
         }

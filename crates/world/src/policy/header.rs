@@ -127,7 +127,6 @@ impl Default for ActionBounds {
 
 impl ActionBounds {
     /// Returns the action, between -1 and 1, for an output before tanh. NaN means full braking.
-    #[must_use]
     #[inline]
     pub(crate) fn squash(raw: f32) -> f32 {
         if raw.is_nan() { -1.0 } else { libm::tanhf(raw) }

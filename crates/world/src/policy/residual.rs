@@ -159,9 +159,7 @@ mod tests {
         assert_eq!(with(1.0, 4.0, IdmSettings::default()), Err("dead_zone".to_owned()));
         assert_eq!(with(f64::NAN, 4.0, IdmSettings::default()), Err("dead_zone".to_owned()));
         assert_eq!(with(0.3, 0.0, IdmSettings::default()), Err("rate_per_s".to_owned()));
-        assert_eq!(
-            with(0.3, 4.0, IdmSettings { accel_mps2: 0.0, ..IdmSettings::default() }),
-            Err("idm.accel_mps2".to_owned())
-        );
+        let weak = IdmSettings { accel_mps2: 0.0, ..IdmSettings::default() };
+        assert_eq!(with(0.3, 4.0, weak), Err("idm.accel_mps2".to_owned()));
     }
 }

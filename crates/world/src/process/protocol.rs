@@ -173,16 +173,11 @@ mod tests {
     fn invalid_answers_are_distinguished() {
         let problem = |line: &str| parse_decision(line.as_bytes(), 7).unwrap_err();
         assert_eq!(parse_decision(b"{\"id\":7, \"acceleration_mps2\": -1.5}", 7), Ok(-1.5));
-        assert_eq!(
-            problem("{\"id\":6,\"acceleration_mps2\":1}"),
-            ProcessProblem::WrongRequestId { found: 6, asked: 7 }
-        );
+        let other = problem("{\"id\":6,\"acceleration_mps2\":1}");
+        assert_eq!(other, ProcessProblem::WrongRequestId { found: 6, asked: 7 });
         for line in ["NaN", "-Infinity", "nan", "1e999", "[NaN]"] {
-            assert_eq!(
-                problem(&format!("{{\"id\":7,\"acceleration_mps2\":{line}}}")),
-                ProcessProblem::NotFinite,
-                "{line}"
-            );
+            let found = problem(&format!("{{\"id\":7,\"acceleration_mps2\":{line}}}"));
+            assert_eq!(found, ProcessProblem::NotFinite, "{line}");
         }
         for rest in ["", "\"acceleration_mps2\":null}", "\"acceleration_mps2\":1,\"x\":2}", "\"x\":2}"] {
             let line = format!("{{\"id\":7,{rest}");

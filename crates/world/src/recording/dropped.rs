@@ -27,14 +27,14 @@ impl fmt::Display for DroppedItem {
 #[non_exhaustive]
 pub enum Omission {
     /// Vehicles of the platoon without a speed column.
-    #[error("{} speed column: {}", have_no(.first, .last), consequence(.place))]
+    #[error("{} speed column: {consequence}", have_no(.first, .last))]
     VehiclesMissing {
         /// First missing vehicle.
         first: usize,
         /// Last missing vehicle.
         last: usize,
-        /// Position of the gap in the platoon.
-        place: PlatoonPosition,
+        /// Effect on the platoon, as a clause.
+        consequence: &'static str,
     },
     /// Two neighbours without a spacing column.
     #[error("{column}: no such column, so the platoon is split between vehicles {ahead} and {behind}")]
@@ -68,50 +68,25 @@ pub enum Omission {
         /// Number of rows.
         rows: usize,
     },
-    /// Spacings of 0 or less, or beyond any view.
+    /// Spacings of 0 or less or beyond any view, lengths below 0.1 m or above 100 m, and speeds above 100 m/s, or negative
+    /// where the sign has no meaning.
     #[error(
-        "{column}: {count} impossible spacings, the first one here, the last one on line {last_line}, the worst {} m",
-        format_compact(*worst_m)
+        "{column}: {count} impossible {what}, the first one here, the last one on line {last_line}, the worst {} {unit}",
+        format_compact(*worst)
     )]
-    ImpossibleSpacings {
+    ImpossibleValues {
         /// Name of the column.
         column: String,
-        /// Number of spacings.
+        /// Quantity, in the plural.
+        what: &'static str,
+        /// Unit of the quantity.
+        unit: &'static str,
+        /// Number of values.
         count: usize,
         /// Line of the last one.
         last_line: u64,
-        /// Value furthest out of range, in metres.
-        worst_m: f64,
-    },
-    /// Lengths below 0.1 m or above 100 m.
-    #[error(
-        "{column}: {count} impossible lengths, the first one here, the last one on line {last_line}, the worst {} m",
-        format_compact(*worst_m)
-    )]
-    ImpossibleLengths {
-        /// Name of the column.
-        column: String,
-        /// Number of lengths.
-        count: usize,
-        /// Line of the last one.
-        last_line: u64,
-        /// Value furthest out of range, in metres.
-        worst_m: f64,
-    },
-    /// Speeds above 100 m/s, or negative where the sign has no meaning.
-    #[error(
-        "{column}: {count} impossible speeds, the first one here, the last one on line {last_line}, the worst {} m/s",
-        format_compact(*worst_mps)
-    )]
-    ImpossibleSpeeds {
-        /// Name of the column.
-        column: String,
-        /// Number of speeds.
-        count: usize,
-        /// Line of the last one.
-        last_line: u64,
-        /// Value furthest out of range, in m/s.
-        worst_mps: f64,
+        /// Value furthest out of range.
+        worst: f64,
     },
     /// Rows less than a millisecond later than the row before.
     #[error(
@@ -190,31 +165,12 @@ pub enum Omission {
     },
 }
 
-/// Position of missing vehicles in a platoon.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum PlatoonPosition {
-    /// Ahead of the first recorded vehicle.
-    Front,
-    /// Between two recorded vehicles.
-    Middle,
-    /// Behind the last recorded vehicle.
-    Rear,
-}
-
 fn format_fixed(number: f64, decimals: usize) -> String {
     if number.abs() < 1e9 { format!("{number:.decimals$}") } else { format_compact(number) }
 }
 
 fn have_no(first: &usize, last: &usize) -> String {
     if first == last { format!("vehicle {first} has no") } else { format!("vehicles {first} to {last} have no") }
-}
-
-fn consequence(place: &PlatoonPosition) -> &'static str {
-    match place {
-        PlatoonPosition::Front => "the platoon starts behind",
-        PlatoonPosition::Middle => "the platoon is split there, because the spacing is unknown",
-        PlatoonPosition::Rear => "the platoon ends before",
-    }
 }
 
 /// A reason why a braking episode has no scenario.

@@ -4,8 +4,7 @@ use std::fmt::Write as _;
 
 use crate::control::{AebSettings, ControllerSpec};
 use crate::scenario::{
-    Driver, Environment, InvalidField, LeadProfile, RecordedSpeeds, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors,
-    VehicleClass, VehicleSpec,
+    Driver, InvalidField, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
 
 use super::lead_vehicles::VehicleAhead;
@@ -21,7 +20,7 @@ const STEPS_PER_S: f64 = 100.0;
 /// otherwise.
 #[derive(Debug, Clone, PartialEq)]
 pub struct BrakingEpisode {
-    /// Event of the recording, if the file names events; see `RecordedPlatoon::event`.
+    /// Event of the recording, if the file names events; see [`RecordedPlatoon`](super::RecordedPlatoon).
     pub event: Option<String>,
     /// Line of the start, from 1.
     pub line: u64,
@@ -88,7 +87,10 @@ impl BrakingEpisode {
         let mut vehicles = Vec::with_capacity(self.vehicles.len());
         for (index, placed) in self.vehicles.iter().enumerate().rev() {
             let driver = match index {
-                0 => self.lead_driver(),
+                0 => Driver::Profile(LeadProfile::Recorded(RecordedSpeeds {
+                    time_s: self.time_s.clone(),
+                    speed_mps: self.speed_mps.clone(),
+                })),
                 _ if index == last && last > 1 => Driver::Controller(ControllerSpec::Baseline(AebSettings::default())),
                 _ => Driver::UnderTest,
             };
@@ -106,23 +108,13 @@ impl BrakingEpisode {
             leader.max_brake_mps2 = raise_limit(leader.max_brake_mps2(), self.hardest_brake_mps2);
             leader.max_accel_mps2 = raise_limit(leader.max_accel_mps2(), self.hardest_accel_mps2);
         }
+        // Division rounds to the decimals of the file; multiplication by the step would not.
+        let duration_s = (round_to_milli(self.duration_s) * STEPS_PER_S - 1e-6).ceil() / STEPS_PER_S;
         Scenario::new(ScenarioSpec {
-            version: SCENARIO_VERSION,
-            name,
             about: self.about(file),
-            // Division rounds to the decimals of the file; multiplication by the step would not.
-            duration_s: (round_to_milli(self.duration_s) * STEPS_PER_S - 1e-6).ceil() / STEPS_PER_S,
             step_s: 1.0 / STEPS_PER_S,
-            seed: 0,
-            environment: Environment::default(),
-            sensors: Sensors::default(),
-            vehicles,
+            ..ScenarioSpec::new(name, duration_s, vehicles)
         })
-    }
-
-    fn lead_driver(&self) -> Driver {
-        let recorded = RecordedSpeeds { time_s: self.time_s.clone(), speed_mps: self.speed_mps.clone() };
-        Driver::Profile(LeadProfile::Recorded(recorded))
     }
 
     fn about(&self, file: &str) -> String {

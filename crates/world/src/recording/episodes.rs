@@ -88,8 +88,7 @@ pub fn find_episodes(recording: &Recording, min_brake: MinBrake, leaders: Leader
             }
         }
     }
-    let start = |episode: &BrakingEpisode| episode.line;
-    found.episodes.sort_by_key(start);
+    found.episodes.sort_by_key(|episode| episode.line);
     found
 }
 

@@ -23,89 +23,15 @@ pub enum RecordingError {
         /// Path of the file.
         path: PathBuf,
     },
-    /// A first line of neither built-in format.
-    #[error(
-        "{}:{line}: `{found}`: neither an OpenACC recording (which starts with `Date`) nor car-following events (which \
-        start with `event,time_s,gap_m,...`), both without quotation marks; any other format needs a map that \
-        describes its columns", path.display()
-    )]
-    UnknownFormat {
+    /// An invalid line.
+    #[error("{}:{line}: {problem}", path.display())]
+    Line {
         /// Path of the file.
         path: PathBuf,
         /// Line, from 1.
         line: u64,
-        /// First field of the line.
-        found: String,
-    },
-    /// A line that is not UTF-8, or far longer than any row of numbers.
-    #[error("{}:{line}: {message}", path.display())]
-    Malformed {
-        /// Path of the file.
-        path: PathBuf,
-        /// Line, from 1.
-        line: u64,
-        /// Description of the error.
-        message: String,
-    },
-    /// A file that ends before its first sample.
-    #[error("{}:{line}: the recording ends here, before {expected}", path.display())]
-    CutShort {
-        /// Path of the file.
-        path: PathBuf,
-        /// Last line, from 1.
-        line: u64,
-        /// Expected content.
-        expected: &'static str,
-    },
-    /// An invalid line of column names.
-    #[error("{}:{line}: {column}: {problem}", path.display())]
-    Column {
-        /// Path of the file.
-        path: PathBuf,
-        /// Line of the column names, from 1.
-        line: u64,
-        /// Name of the column.
-        column: String,
-        /// Problem of the column.
-        problem: ColumnProblem,
-    },
-    /// A row whose number of fields differs from the number of columns.
-    #[error("{}:{line}: {column}: {found} fields in a row of {expected}", path.display())]
-    FieldCount {
-        /// Path of the file.
-        path: PathBuf,
-        /// Line, from 1.
-        line: u64,
-        /// First column without a field, or the last column if there are too many fields.
-        column: String,
-        /// Number of columns.
-        expected: usize,
-        /// Number of fields.
-        found: usize,
-    },
-    /// An invalid field.
-    #[error("{}:{line}: {column}: {problem}", path.display())]
-    Value {
-        /// Path of the file.
-        path: PathBuf,
-        /// Line, from 1.
-        line: u64,
-        /// Name of the column.
-        column: String,
-        /// Problem of the field.
-        problem: ValueProblem,
-    },
-    /// More data than this release holds in memory.
-    #[error("{}:{line}: more than {limit} {what}: split the recording", path.display())]
-    TooLarge {
-        /// Path of the file.
-        path: PathBuf,
-        /// Line that exceeds the limit, from 1.
-        line: u64,
-        /// Limit.
-        limit: usize,
-        /// Unit of the limit.
-        what: &'static str,
+        /// Problem of the line.
+        problem: LineProblem,
     },
     /// An invalid map.
     #[error(transparent)]
@@ -131,8 +57,49 @@ pub enum RecordingError {
     },
 }
 
-/// A problem of a column name.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+/// A problem of a line.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum LineProblem {
+    /// A first line of neither built-in format.
+    #[error(
+        "`{found}`: neither an OpenACC recording (which starts with `Date`) nor car-following events (which start with \
+        `event,time_s,gap_m,...`), both without quotation marks; any other format needs a map that describes its \
+        columns"
+    )]
+    UnknownFormat {
+        /// First field of the line.
+        found: String,
+    },
+    /// A line that is not UTF-8, or far longer than any row of numbers.
+    #[error("{0}")]
+    Malformed(String),
+    /// The last line of a file that ends before its first sample.
+    #[error("the recording ends here, before {expected}")]
+    CutShort {
+        /// Expected content.
+        expected: &'static str,
+    },
+    /// An invalid name or field of a column.
+    #[error("{column}: {problem}")]
+    Column {
+        /// Name of the column.
+        column: String,
+        /// Problem of the column.
+        problem: ColumnProblem,
+    },
+    /// The first line beyond what this release holds in memory.
+    #[error("more than {limit} {what}: split the recording")]
+    TooLarge {
+        /// Limit.
+        limit: usize,
+        /// Unit of the limit.
+        what: &'static str,
+    },
+}
+
+/// A problem of a column: of its name, or of its field in a row.
+#[derive(Debug, Clone, PartialEq, thiserror::Error)]
 #[non_exhaustive]
 pub enum ColumnProblem {
     /// No such column.
@@ -147,12 +114,14 @@ pub enum ColumnProblem {
     /// No spacing between successive vehicles.
     #[error("no such column is between two `Speed` columns of successive numbers, so no vehicle follows another")]
     NoFollower,
-}
-
-/// A problem of a field.
-#[derive(Debug, Clone, PartialEq, thiserror::Error)]
-#[non_exhaustive]
-pub enum ValueProblem {
+    /// A row whose number of fields differs from the number of columns: no field of this column, or more than the last.
+    #[error("{found} fields in a row of {expected}")]
+    FieldCount {
+        /// Number of columns.
+        expected: usize,
+        /// Number of fields.
+        found: usize,
+    },
     /// A field that is not a finite number.
     #[error("must be a finite number or empty, found `{found}`")]
     NotANumber {
@@ -167,7 +136,7 @@ pub enum ValueProblem {
     },
     /// An empty field that the row requires.
     #[error("must not be empty")]
-    Missing,
+    Empty,
     /// A row that continues an event after rows of other events.
     #[error(
         "event `{event}`, whose last row was line {last_line}, continues here after rows of other events: sort the \

@@ -128,11 +128,8 @@ mod tests {
             (LeaderSelection::Any, 3, 57.8),
             (LeaderSelection::First, 3, 57.8),
         ] {
-            assert!(
-                (seconds(leaders, followers) - wanted).abs() < 1e-6,
-                "{leaders:?} {followers}: {}",
-                seconds(leaders, followers)
-            );
+            let found = seconds(leaders, followers);
+            assert!((found - wanted).abs() < 1e-6, "{leaders:?} {followers}: {found}");
         }
         let driven = following_exposure(&recording, LeaderSelection::First, 1);
         assert!(driven.hours * 3600.0 < 62.0 && driven.kilometres > 0.8 && driven.kilometres < 1.2, "{driven:?}");

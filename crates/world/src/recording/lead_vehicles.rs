@@ -92,6 +92,6 @@ impl LeadVehicle for PlatoonLead<'_> {
     }
 
     fn event(&self) -> Option<&str> {
-        self.platoon.event()
+        self.platoon.event.as_deref()
     }
 }

@@ -41,6 +41,10 @@ fn map(text: &str) -> RecordingMap {
     RecordingMap::from_toml(text, Path::new("map.toml")).expect("a map")
 }
 
+fn map_error(text: &str) -> String {
+    RecordingMap::from_toml(text, Path::new("m.toml")).expect_err("wrong").to_string()
+}
+
 fn read_with(text: &str, by: &str) -> Recording {
     read(text.as_bytes(), Path::new("a.csv"), Some(&map(by))).expect("readable")
 }
@@ -137,12 +141,8 @@ fn vehicles_are_as_long_as_recorded_and_lorries_are_heavy() {
     for k in 0..60 {
         let lost_mps = 0.4 * f64::from(k - 20).clamp(0.0, 20.0);
         for (id, metres, cm) in [(1, 100.0, 420), (2, 80.0, 1250), (3, 50.0, 500)] {
-            let _ = writeln!(
-                text,
-                "{k};{id};1;{};{};{cm}",
-                (metres + 2.0 * f64::from(k)) / 0.3048,
-                3.6 * (20.0 - lost_mps)
-            );
+            let (feet, kmh) = ((metres + 2.0 * f64::from(k)) / 0.3048, 3.6 * (20.0 - lost_mps));
+            let _ = writeln!(text, "{k};{id};1;{feet};{kmh};{cm}");
         }
     }
     let recording = read_with(&text, &TRACKS.replace("centre", "front"));
@@ -275,7 +275,7 @@ fn gaps_are_filled_up_to_the_length_in_the_map() {
     let values = |by: &str| {
         let rows = "0\t10\t0\t50\n100\t\t0\t50\n200\t14\t0\t\n300\t\t0\t\n400\t\t0\t\n500\t20\t0\t80\n";
         let recording = read_with(&format!("ms\tego\tclosing\trange\n{rows}"), by);
-        let follower = recording.platoons[0].vehicles()[1].speed_mps().to_vec();
+        let follower = recording.platoons[0].vehicles[1].speed_mps.clone();
         follower.into_iter().map(|mps| mps.map(|mps| (mps / 0.447_04 * 1e6).round() / 1e6)).collect::<Vec<_>>()
     };
     let holes = [Some(10.0), None, Some(14.0), None, None, Some(20.0)];
@@ -333,19 +333,11 @@ fn errors_of_a_map_name_their_place() {
     for (text, good, bad, expected) in cases {
         let changed = text.replacen(good, bad, 1);
         assert_ne!(changed, text);
-        let message = RecordingMap::from_toml(&changed, Path::new("m.toml")).expect_err("wrong").to_string();
-        assert!(
-            message.starts_with(&format!("m.toml:{expected}")),
-            "{message}\n  should start with\nm.toml:{expected}"
-        );
+        let (message, expected) = (map_error(&changed), format!("m.toml:{expected}"));
+        assert!(message.starts_with(&expected), "{message}\n  should start with\n{expected}");
     }
     let two = TRACKS.to_owned() + "[layout.pairs]\nspacing = { column = \"x\" }\n";
-    assert!(
-        RecordingMap::from_toml(&two, Path::new("m.toml"))
-            .expect_err("wrong")
-            .to_string()
-            .contains("several kinds are given")
-    );
+    assert!(map_error(&two).contains("several kinds are given"));
 }
 
 #[test]
@@ -356,12 +348,8 @@ fn platoons_from_front_to_front_need_their_cars_length() {
               spacing = { column = \"d{}\", from = \"front-to-front\" }\nlength_m = 5.0\n";
     assert_eq!(read_with(text, by).platoons[0].gap_ahead_m(1), [Some(15.0), None]);
     for (good, bad) in [("\"v{}\"", "\"v\""), ("\"v{}\"", "\"v{}{}\"")] {
-        let message =
-            RecordingMap::from_toml(&by.replace(good, bad), Path::new("m.toml")).expect_err("wrong").to_string();
-        assert_eq!(
-            message,
-            "m.toml:5: layout.platoon.speed.column: must hold `{}` once, where the vehicle's number stands"
-        );
+        let expected = "m.toml:5: layout.platoon.speed.column: must hold `{}` once, where the vehicle's number stands";
+        assert_eq!(map_error(&by.replace(good, bad)), expected);
     }
 }
 

@@ -32,10 +32,10 @@ use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
-pub use dropped::{DroppedItem, EpisodeProblem, Omission, PlatoonPosition};
+pub use dropped::{DroppedItem, EpisodeProblem, Omission};
 pub use episode::{BrakingEpisode, CAR_LENGTH_M, EpisodeVehicle};
 pub use episodes::{FoundEpisodes, LeaderSelection, MinBrake, find_episodes};
-pub use error::{ColumnProblem, RecordingError, ValueProblem};
+pub use error::{ColumnProblem, LineProblem, RecordingError};
 pub use exposure::{FollowingExposure, braking_clusters, following_exposure};
 pub use import::{ImportOptions, ImportResult, ImportedRecording, ImportedScenario, import};
 pub use lead_vehicles::VehicleAhead;
@@ -68,12 +68,11 @@ pub struct Recording {
 impl Recording {
     /// Returns all vehicles with a follower, front to rear.
     fn lead_vehicles(&self) -> Vec<Box<dyn LeadVehicle + '_>> {
-        let in_platoon = |platoon| {
-            let leads = 0..RecordedPlatoon::vehicles(platoon).len().saturating_sub(1);
+        let in_platoons = self.platoons.iter().flat_map(|platoon| {
+            let leads = 0..platoon.vehicles.len().saturating_sub(1);
             leads.map(move |index| Box::new(PlatoonLead { platoon, index }) as Box<dyn LeadVehicle>)
-        };
-        let in_traffic = self.traffic.iter().flat_map(RecordedTraffic::lead_vehicles);
-        self.platoons.iter().flat_map(in_platoon).chain(in_traffic).collect()
+        });
+        in_platoons.chain(self.traffic.iter().flat_map(RecordedTraffic::lead_vehicles)).collect()
     }
 }
 
@@ -98,38 +97,18 @@ impl RecordingFormat {
 /// Speeds and gaps may be missing, but every list has one entry for each sample.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordedPlatoon {
-    event: Option<String>,
-    time_s: Vec<f64>,
-    line: Vec<u64>,
-    vehicles: Vec<RecordedVehicle>,
+    /// Event, if the file names events, truncated to 40 characters.
+    pub event: Option<String>,
+    /// Time of each sample in seconds, increasing by a millisecond or more.
+    pub time_s: Vec<f64>,
+    /// Line of each sample in the file, from 1.
+    pub line: Vec<u64>,
+    /// Vehicles, front to rear.
+    pub vehicles: Vec<RecordedVehicle>,
     gaps_m: Vec<Vec<Option<f64>>>,
 }
 
 impl RecordedPlatoon {
-    /// Returns the event, if the file names events, truncated to 40 characters.
-    #[must_use]
-    pub(crate) fn event(&self) -> Option<&str> {
-        self.event.as_deref()
-    }
-
-    /// Returns the time of each sample in seconds, increasing by a millisecond or more.
-    #[must_use]
-    pub fn time_s(&self) -> &[f64] {
-        &self.time_s
-    }
-
-    /// Returns the line of each sample in the file, from 1.
-    #[must_use]
-    pub fn line(&self) -> &[u64] {
-        &self.line
-    }
-
-    /// Returns the vehicles, front to rear.
-    #[must_use]
-    pub fn vehicles(&self) -> &[RecordedVehicle] {
-        &self.vehicles
-    }
-
     /// Returns the bumper gap ahead of vehicle `index` of the platoon at each sample: metres, positive, `None` if
     /// unknown. Empty for the first vehicle and for one that does not exist.
     #[must_use]
@@ -147,30 +126,15 @@ impl RecordedPlatoon {
 /// A vehicle of a platoon.
 #[derive(Debug, Clone, PartialEq)]
 pub struct RecordedVehicle {
-    number: usize,
-    name: Option<String>,
-    speed_mps: Vec<Option<f64>>,
+    /// Number in the file, from 1 at the front of the platoon.
+    pub number: usize,
+    /// Make or role, if recorded.
+    pub name: Option<String>,
+    /// Speed at each sample, from 0 to 100 m/s; `None` if unknown.
+    pub speed_mps: Vec<Option<f64>>,
 }
 
 impl RecordedVehicle {
-    /// Returns the number in the file, from 1 at the front of the platoon.
-    #[must_use]
-    pub fn number(&self) -> usize {
-        self.number
-    }
-
-    /// Returns make or role, if recorded.
-    #[must_use]
-    pub fn name(&self) -> Option<&str> {
-        self.name.as_deref()
-    }
-
-    /// Returns the speed at each sample, from 0 to 100 m/s; `None` if unknown.
-    #[must_use]
-    pub fn speed_mps(&self) -> &[Option<f64>] {
-        &self.speed_mps
-    }
-
     fn speed_at_mps(&self, sample: usize) -> Option<f64> {
         self.speed_mps.get(sample).copied().flatten()
     }
@@ -208,10 +172,7 @@ pub fn read(from: impl Read, path: &Path, map: Option<&RecordingMap>) -> Result<
             built_in = match first.text(0) {
                 "Date" => RecordingMap::openacc(),
                 "event" => RecordingMap::car_following(),
-                other => {
-                    let (path, found) = (path.to_owned(), table::excerpt(other));
-                    Err(RecordingError::UnknownFormat { path, line: first.line, found })
-                }
+                other => first.reject_line(LineProblem::UnknownFormat { found: table::excerpt(other) }),
             }?;
             &built_in
         }
@@ -232,7 +193,7 @@ fn read_with_map<R: Read>(
         } else {
             "the names of its columns"
         };
-        let Some(next) = table.next_row()?.cloned() else { return Err(table.cut_short_error(expected)) };
+        let Some(next) = table.next_row()?.cloned() else { return table.reject_cut_short(expected) };
         names = next;
     }
     match &map.layout {

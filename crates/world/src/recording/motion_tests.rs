@@ -76,10 +76,10 @@ proptest! {
     fn recordings_survive_the_way_into_scenarios(motion in any_motion(0.05), threshold in 0.5..5.0_f64) {
         let recording = read_text(&motion.to_csv()).expect("well formed");
         let platoon = &recording.platoons[0];
-        for (index, vehicle) in platoon.vehicles().iter().enumerate() {
-            prop_assert_eq!(vehicle.number(), motion.first + index);
+        for (index, vehicle) in platoon.vehicles.iter().enumerate() {
+            prop_assert_eq!(vehicle.number, motion.first + index);
             let written: Vec<_> = motion.speeds.iter().map(|row| row[index]).collect();
-            prop_assert_eq!(vehicle.speed_mps(), written);
+            prop_assert_eq!(&vehicle.speed_mps, &written);
             if index > 0 {
                 let written: Vec<_> = motion.gaps.iter().map(|row| row[index - 1]).collect();
                 prop_assert_eq!(platoon.gap_ahead_m(index), written);

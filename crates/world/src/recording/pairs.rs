@@ -8,7 +8,7 @@ use std::io::Read;
 use std::{iter, mem};
 
 use super::dropped::{DroppedItem, Omission};
-use super::error::{RecordingError, ValueProblem};
+use super::error::{ColumnProblem, RecordingError};
 use super::map::{PairsSpec, RecordingMapSpec, Sign, SpeedSpec};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
 use super::table::{CsvColumn, CsvRow, RowLimiter, RowReader, excerpt};
@@ -33,7 +33,7 @@ pub(super) fn read<R: Read>(
         events.read_row(row)?;
     }
     if extent.rows == 0 {
-        return Err(table.cut_short_error("its first sample"));
+        return table.reject_cut_short("its first sample");
     }
     let (path, format) = (table.path().to_owned(), RecordingFormat::from_map(map));
     events.finish_event();
@@ -118,7 +118,7 @@ impl<'m> EventReader<'m> {
         if event.is_empty()
             && let Some(column) = &self.column
         {
-            return row.reject(&column.name, ValueProblem::Missing);
+            return row.reject(&column.name, ColumnProblem::Empty);
         }
         if self.event.as_deref() != Some(event) {
             self.finish_event();
@@ -148,7 +148,7 @@ impl<'m> EventReader<'m> {
             return Ok(());
         };
         match self.clock.read(row)? > last_s {
-            true => row.reject(&column.name, ValueProblem::Interleaved { event: excerpt(event), last_line }),
+            true => row.reject(&column.name, ColumnProblem::Interleaved { event: excerpt(event), last_line }),
             false => Ok(()),
         }
     }

@@ -14,7 +14,7 @@ use std::io::Read;
 
 use csv::StringRecord;
 
-use super::dropped::{DroppedItem, Omission, PlatoonPosition};
+use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, RecordingError};
 use super::map::{PlatoonSpec, RecordingMapSpec};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
@@ -60,7 +60,7 @@ pub(super) fn read<R: Read>(
         }
     }
     if extent.rows == 0 {
-        return Err(table.cut_short_error("its first sample"));
+        return table.reject_cut_short("its first sample");
     }
     clock.report(&mut dropped);
     for series in speeds.values().chain(gaps.values()) {
@@ -155,7 +155,7 @@ impl PlatoonColumns {
                 None
             };
             if before.is_some() {
-                return names.reject_column(&excerpt(name), ColumnProblem::Repeated);
+                return names.reject(&excerpt(name), ColumnProblem::Repeated);
             }
         }
         if speeds.len().max(gaps.len()) > MAX_VEHICLES {
@@ -176,8 +176,11 @@ impl PlatoonColumns {
         let mut ahead = 0;
         for &number in self.speeds.keys() {
             if number > ahead + 1 {
-                let place = if ahead == 0 { PlatoonPosition::Front } else { PlatoonPosition::Middle };
-                report(Omission::VehiclesMissing { first: ahead + 1, last: number - 1, place });
+                let consequence = match ahead {
+                    0 => "the platoon starts behind",
+                    _ => "the platoon is split there, because the spacing is unknown",
+                };
+                report(Omission::VehiclesMissing { first: ahead + 1, last: number - 1, consequence });
             }
             match lines.last_mut() {
                 Some(line) if number == ahead + 1 && self.gaps.contains_key(&ahead) => line.push(number),
@@ -196,7 +199,7 @@ impl PlatoonColumns {
             report(Omission::VehiclesMissing {
                 first: ahead + 1,
                 last: header.number_of_vehicles,
-                place: PlatoonPosition::Rear,
+                consequence: "the platoon ends before",
             });
         }
         for (number, column) in &self.gaps {
@@ -211,7 +214,7 @@ impl PlatoonColumns {
         }
         lines.retain(|line| line.len() > 1);
         if lines.is_empty() {
-            return names.reject_column(&excerpt(&self.spacing.replace("{}", "1")), ColumnProblem::NoFollower);
+            return names.reject(&excerpt(&self.spacing.replace("{}", "1")), ColumnProblem::NoFollower);
         }
         Ok(lines)
     }

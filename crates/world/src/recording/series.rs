@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::dropped::{DroppedItem, Omission};
-use super::error::{RecordingError, ValueProblem};
+use super::error::{ColumnProblem, RecordingError};
 use super::table::{CsvColumn, CsvRow};
 
 /// Largest magnitude of a time, in seconds; still exact to a millisecond.
@@ -25,13 +25,13 @@ pub(super) fn round_to_milli(value: f64) -> f64 {
 pub(super) struct Clock {
     pub(super) column: CsvColumn,
     last_s: Option<f64>,
-    not_later: usize,
-    first: Option<DroppedItem>,
+    /// First row that is not later, without the count, and number of such rows.
+    not_later: Option<(DroppedItem, usize)>,
 }
 
 impl Clock {
     pub(super) fn new(column: CsvColumn) -> Self {
-        Self { column, last_s: None, not_later: 0, first: None }
+        Self { column, last_s: None, not_later: None }
     }
 
     /// Discards the last time, for a new event.
@@ -41,9 +41,9 @@ impl Clock {
 
     pub(super) fn read(&self, row: &CsvRow<'_>) -> Result<f64, RecordingError> {
         match row.number(&self.column)? {
-            None => row.reject(&self.column.name, ValueProblem::Missing),
+            None => row.reject(&self.column.name, ColumnProblem::Empty),
             Some(found) if found.abs() > MAX_TIME_S => {
-                row.reject(&self.column.name, ValueProblem::OutOfRange { limit: MAX_TIME_S, found })
+                row.reject(&self.column.name, ColumnProblem::OutOfRange { limit: MAX_TIME_S, found })
             }
             Some(found_s) => Ok(found_s),
         }
@@ -55,10 +55,9 @@ impl Clock {
         if let Some(before_s) = self.last_s
             && round_to_milli(found_s) <= round_to_milli(before_s)
         {
-            self.not_later += 1;
             let column = self.column.name.clone();
             let first = Omission::NonIncreasingTime { column, count: 0, before_s, found_s };
-            self.first.get_or_insert_with(|| row.dropped_item(first));
+            self.not_later.get_or_insert_with(|| (row.dropped_item(first), 0)).1 += 1;
             return Ok(None);
         }
         self.last_s = Some(found_s);
@@ -66,9 +65,9 @@ impl Clock {
     }
 
     pub(super) fn report(self, dropped: &mut Vec<DroppedItem>) {
-        if let Some(mut first) = self.first {
+        if let Some((mut first, rows)) = self.not_later {
             if let Omission::NonIncreasingTime { count, .. } = &mut first.omission {
-                *count = self.not_later;
+                *count = rows;
             }
             dropped.push(first);
         }
@@ -112,27 +111,21 @@ pub(super) struct Series {
     pub(super) column: CsvColumn,
     quantity: ColumnQuantity,
     pub(super) values: Vec<Option<f64>>,
-    missing: usize,
-    first_missing: u64,
-    impossible: usize,
-    first_impossible: u64,
-    last_impossible: u64,
+    /// Line of the first missing value, and number of missing values.
+    missing: Option<(u64, usize)>,
+    impossible: Option<ImpossibleValues>,
+}
+
+struct ImpossibleValues {
+    first_line: u64,
+    last_line: u64,
+    count: usize,
     worst: f64,
 }
 
 impl Series {
     pub(super) fn new(column: CsvColumn, quantity: ColumnQuantity) -> Self {
-        Self {
-            column,
-            quantity,
-            values: Vec::new(),
-            missing: 0,
-            first_missing: 0,
-            impossible: 0,
-            first_impossible: 0,
-            last_impossible: 0,
-            worst: 0.0,
-        }
+        Self { column, quantity, values: Vec::new(), missing: None, impossible: None }
     }
 
     /// Returns the row's value, if there is a possible one.
@@ -143,37 +136,37 @@ impl Series {
     /// Returns the row's value minus `less`, such as a vehicle's length.
     pub(super) fn read_minus(&mut self, row: &CsvRow<'_>, less: f64) -> Result<Option<f64>, RecordingError> {
         let Some(value) = row.number(&self.column)?.map(|value| value - less) else {
-            self.missing += 1;
-            self.first_missing = if self.missing == 1 { row.line } else { self.first_missing };
+            self.missing.get_or_insert((row.line, 0)).1 += 1;
             return Ok(None);
         };
         if self.quantity.allows(value) {
             return Ok(Some(value));
         }
-        self.impossible += 1;
-        self.first_impossible = if self.impossible == 1 { row.line } else { self.first_impossible };
-        self.last_impossible = row.line;
-        if self.impossible == 1 || self.quantity.excess(value) > self.quantity.excess(self.worst) {
-            self.worst = value;
+        let first = ImpossibleValues { first_line: row.line, last_line: row.line, count: 0, worst: value };
+        let found = self.impossible.get_or_insert(first);
+        found.last_line = row.line;
+        found.count += 1;
+        if self.quantity.excess(value) > self.quantity.excess(found.worst) {
+            found.worst = value;
         }
         Ok(None)
     }
 
     /// Adds missing and impossible values to `dropped`.
     pub(super) fn report(&self, path: &Path, rows: usize, dropped: &mut Vec<DroppedItem>) {
+        let item = |line, omission| DroppedItem { path: path.to_owned(), line, omission };
         let column = || self.column.name.clone();
-        if self.missing > 0 {
-            let what = Omission::MissingValues { column: column(), count: self.missing, rows };
-            dropped.push(DroppedItem { path: path.to_owned(), line: self.first_missing, omission: what });
-        }
-        if self.impossible > 0 {
-            let (column, count, last_line) = (column(), self.impossible, self.last_impossible);
-            let what = match self.quantity {
-                ColumnQuantity::Gap => Omission::ImpossibleSpacings { column, count, last_line, worst_m: self.worst },
-                ColumnQuantity::Length => Omission::ImpossibleLengths { column, count, last_line, worst_m: self.worst },
-                _ => Omission::ImpossibleSpeeds { column, count, last_line, worst_mps: self.worst },
+        dropped.extend(
+            self.missing.map(|(line, count)| item(line, Omission::MissingValues { column: column(), count, rows })),
+        );
+        if let Some(ImpossibleValues { first_line, last_line, count, worst }) = self.impossible {
+            let (what, unit) = match self.quantity {
+                ColumnQuantity::Gap => ("spacings", "m"),
+                ColumnQuantity::Length => ("lengths", "m"),
+                _ => ("speeds", "m/s"),
             };
-            dropped.push(DroppedItem { path: path.to_owned(), line: self.first_impossible, omission: what });
+            let omission = Omission::ImpossibleValues { column: column(), what, unit, count, last_line, worst };
+            dropped.push(item(first_line, omission));
         }
     }
 }

@@ -6,7 +6,7 @@ use std::path::Path;
 use csv::StringRecord;
 
 use super::dropped::{DroppedItem, Omission};
-use super::error::{ColumnProblem, RecordingError, ValueProblem};
+use super::error::{ColumnProblem, LineProblem, RecordingError};
 use super::map::{Delimiter, TimeSpec};
 
 /// Maximum line length, in bytes. 200 vehicles with all columns of OpenACC take about 30 kB.
@@ -97,20 +97,19 @@ impl<'a, R: Read> RowReader<'a, R> {
             _ => self.reader.position().line(),
         };
         let path = self.path.to_owned();
-        match error.into_kind() {
+        let message = match error.into_kind() {
             csv::ErrorKind::Io(source) if source.kind() != io::ErrorKind::InvalidData => {
-                RecordingError::Read { path, source }
+                return RecordingError::Read { path, source };
             }
-            csv::ErrorKind::Io(source) => RecordingError::Malformed { path, line, message: source.to_string() },
-            csv::ErrorKind::Utf8 { .. } => {
-                RecordingError::Malformed { path, line, message: "is not text in UTF-8".to_owned() }
-            }
-            other => RecordingError::Malformed { path, line, message: format!("{other:?}") },
-        }
+            csv::ErrorKind::Io(source) => source.to_string(),
+            csv::ErrorKind::Utf8 { .. } => "is not text in UTF-8".to_owned(),
+            other => format!("{other:?}"),
+        };
+        RecordingError::Line { path, line, problem: LineProblem::Malformed(message) }
     }
 
-    pub(super) fn cut_short_error(&self, expected: &'static str) -> RecordingError {
-        RecordingError::CutShort { path: self.path.to_owned(), line: self.row.line, expected }
+    pub(super) fn reject_cut_short<T>(&self, expected: &'static str) -> Result<T, RecordingError> {
+        self.row.reject_line(LineProblem::CutShort { expected })
     }
 }
 
@@ -135,22 +134,20 @@ impl CsvRow<'_> {
         match text.parse::<f64>() {
             Ok(number) if (number * column.factor).is_finite() => Ok(Some(number * column.factor)),
             Ok(number) if number.is_nan() => Ok(None),
-            _ => self.reject(&column.name, ValueProblem::NotANumber { found: excerpt(text) }),
+            _ => self.reject(&column.name, ColumnProblem::NotANumber { found: excerpt(text) }),
         }
     }
 
-    pub(super) fn reject<T>(&self, column: &str, problem: ValueProblem) -> Result<T, RecordingError> {
-        let (path, column) = (self.path.to_owned(), column.to_owned());
-        Err(RecordingError::Value { path, line: self.line, column, problem })
-    }
-
-    pub(super) fn reject_column<T>(&self, column: &str, problem: ColumnProblem) -> Result<T, RecordingError> {
-        let (path, column) = (self.path.to_owned(), column.to_owned());
-        Err(RecordingError::Column { path, line: self.line, column, problem })
+    pub(super) fn reject<T>(&self, column: &str, problem: ColumnProblem) -> Result<T, RecordingError> {
+        self.reject_line(LineProblem::Column { column: column.to_owned(), problem })
     }
 
     pub(super) fn reject_too_large<T>(&self, limit: usize, what: &'static str) -> Result<T, RecordingError> {
-        Err(RecordingError::TooLarge { path: self.path.to_owned(), line: self.line, limit, what })
+        self.reject_line(LineProblem::TooLarge { limit, what })
+    }
+
+    pub(super) fn reject_line<T>(&self, problem: LineProblem) -> Result<T, RecordingError> {
+        Err(RecordingError::Line { path: self.path.to_owned(), line: self.line, problem })
     }
 
     pub(super) fn dropped_item(&self, what: Omission) -> DroppedItem {
@@ -182,10 +179,10 @@ impl CsvColumn {
         let mut found = names.fields.iter().enumerate().filter(|(_, known)| *known == name);
         match (found.next(), found.next()) {
             (Some((index, _)), None) => Ok(Self { name: excerpt(name), index, factor }),
-            (Some(_), Some(_)) => names.reject_column(&excerpt(name), ColumnProblem::Repeated),
+            (Some(_), Some(_)) => names.reject(&excerpt(name), ColumnProblem::Repeated),
             (None, _) => {
                 let known = excerpt(&names.fields.iter().collect::<Vec<_>>().join(", "));
-                names.reject_column(&excerpt(name), ColumnProblem::Missing { known })
+                names.reject(&excerpt(name), ColumnProblem::Missing { known })
             }
         }
     }
@@ -215,8 +212,7 @@ impl<'h> RowLimiter<'h> {
         let (expected, found) = (self.names.len(), row.fields.len());
         if found != expected {
             let column = excerpt(self.names.get(found.min(expected.saturating_sub(1))).unwrap_or_default());
-            let (path, line) = (row.path.to_owned(), row.line);
-            return Err(RecordingError::FieldCount { path, line, column, expected, found });
+            return row.reject(&column, ColumnProblem::FieldCount { expected, found });
         }
         self.rows += 1;
         if self.rows > MAX_ROWS {

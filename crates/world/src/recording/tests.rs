@@ -34,17 +34,20 @@ fn braking_platoon(vehicles: usize) -> String {
     text
 }
 
-fn only_episode(recording: &Recording) -> BrakingEpisode {
-    let mut found = find_episodes(recording, MinBrake::default(), LeaderSelection::First);
+fn episodes_of_first(text: &str) -> FoundEpisodes {
+    find_episodes(&read_text(text).expect("readable"), MinBrake::default(), LeaderSelection::First)
+}
+
+fn only_episode(text: &str) -> BrakingEpisode {
+    let mut found = episodes_of_first(text);
     assert_eq!((found.episodes.len(), &found.dropped[..]), (1, &[][..]));
     found.episodes.remove(0)
 }
 
 #[test]
 fn a_braking_platoon_becomes_one_scenario() {
-    let recording = read_text(&braking_platoon(3)).expect("well formed");
-    assert_eq!(recording.dropped, []);
-    let scenario = only_episode(&recording).scenario("a-01".to_owned(), "a.csv").expect("valid");
+    assert_eq!(dropped_of(&braking_platoon(3)), [""; 0]);
+    let scenario = only_episode(&braking_platoon(3)).scenario("a-01".to_owned(), "a.csv").expect("valid");
     // 4.5 s to 5.5 s loses 1.5 m/s, the second before less than 1.3; one second of lead-in precedes it.
     let Driver::Profile(LeadProfile::Recorded(lead)) = &scenario.vehicles()[0].driver else { panic!("no profile") };
     assert_eq!(lead.speed_at_mps(0.0), 20.0);
@@ -56,8 +59,7 @@ fn a_braking_platoon_becomes_one_scenario() {
     assert!((1..3).all(|i| scenario.vehicles()[i].speed_mps == 20.5));
     let about = &scenario.spec().about;
     assert!(about.contains("from 3.5 s on (line 42): vehicle 1 (A) slows from 20.0 to 11.0 m/s"), "{about}");
-    let pair = read_text(&braking_platoon(2)).expect("well formed");
-    let scenario = only_episode(&pair).scenario("a-01".to_owned(), "a.csv").expect("valid");
+    let scenario = only_episode(&braking_platoon(2)).scenario("a-01".to_owned(), "a.csv").expect("valid");
     assert_eq!(scenario.vehicles()[1].driver, Driver::UnderTest);
 }
 
@@ -67,10 +69,10 @@ fn holes_in_the_numbering_split_the_platoon() {
     let text = format!("{HEADER}Time,Speed2,Speed3,Speed5,Speed6,Speed7,IVS2,IVS3,IVS5,IVS7\n{rows}");
     let recording = read_text(&text).expect("readable");
     let numbers: Vec<Vec<_>> =
-        recording.platoons.iter().map(|p| p.vehicles().iter().map(RecordedVehicle::number).collect()).collect();
+        recording.platoons.iter().map(|p| p.vehicles.iter().map(|vehicle| vehicle.number).collect()).collect();
     assert_eq!(numbers, [[2, 3], [5, 6]]);
     assert_eq!(recording.platoons[1].gap_ahead_m(1), [Some(12.0), Some(12.0)]);
-    assert_eq!(recording.platoons[1].vehicles()[1].speed_mps(), [Some(4.0), Some(4.0)]);
+    assert_eq!(recording.platoons[1].vehicles[1].speed_mps, [Some(4.0), Some(4.0)]);
     let expected = [
         "a.csv:6: vehicle 1 has no speed column: the platoon starts behind",
         "a.csv:6: vehicle 4 has no speed column: the platoon is split there, because the spacing is unknown",
@@ -87,10 +89,10 @@ fn missing_and_impossible_values_are_excluded_and_reported() {
     let rows = "0.0,20,,5\n0.1,NaN,21,-3.5\n0.2,20,-1,0\n0.2,20,21,5\n0.1,20,21,5\n0.3,1e300,21,1e308\n0.4,20,21,5\n";
     let text = format!("{HEADER}Time,Speed1,Speed2,IVS1\n{rows}");
     let platoon = &read_text(&text).expect("readable").platoons[0];
-    assert_eq!(platoon.time_s(), [0.0, 0.1, 0.2, 0.3, 0.4]);
-    assert_eq!(platoon.line(), [7, 8, 9, 12, 13]);
-    assert_eq!(platoon.vehicles()[0].speed_mps(), [Some(20.0), None, Some(20.0), None, Some(20.0)]);
-    assert_eq!(platoon.vehicles()[1].speed_mps(), [None, Some(21.0), None, Some(21.0), Some(21.0)]);
+    assert_eq!(platoon.time_s, [0.0, 0.1, 0.2, 0.3, 0.4]);
+    assert_eq!(platoon.line, [7, 8, 9, 12, 13]);
+    assert_eq!(platoon.vehicles[0].speed_mps, [Some(20.0), None, Some(20.0), None, Some(20.0)]);
+    assert_eq!(platoon.vehicles[1].speed_mps, [None, Some(21.0), None, Some(21.0), Some(21.0)]);
     assert_eq!(platoon.gap_ahead_m(1), [Some(5.0), None, None, None, Some(5.0)]);
     let expected = [
         "a.csv:6: vehicle 3 has no speed column: the platoon ends before",
@@ -200,15 +202,17 @@ impl Read for EndlessRows {
 fn each_car_following_event_is_a_platoon_of_two() {
     let rows = "7,0.0,5,10,1,11\n7,0.1,5,,1,11\n7,0.2,5,10,1,\n7,0.3,5,10,1,13\n9,0.0,-1,10,,11\n";
     let recording = read_text(&format!("{EVENTS}{rows}")).expect("readable");
-    assert_eq!(recording.platoons.iter().map(RecordedPlatoon::event).collect::<Vec<_>>(), [Some("7"), Some("9")]);
-    let [leader, follower] = recording.platoons[0].vehicles() else { panic!("not a pair") };
-    assert_eq!(leader.speed_mps(), [Some(11.0), Some(11.0), Some(11.0), None], "the relative speed supplies it");
-    assert_eq!(follower.speed_mps(), [Some(10.0), Some(10.0), Some(10.0), None]);
+    assert_eq!(
+        recording.platoons.iter().map(|platoon| platoon.event.as_deref()).collect::<Vec<_>>(),
+        [Some("7"), Some("9")]
+    );
+    let [leader, follower] = &recording.platoons[0].vehicles[..] else { panic!("not a pair") };
+    assert_eq!(leader.speed_mps, [Some(11.0), Some(11.0), Some(11.0), None], "the relative speed supplies it");
+    assert_eq!(follower.speed_mps, [Some(10.0), Some(10.0), Some(10.0), None]);
     assert_eq!(recording.platoons[1].gap_ahead_m(1), [None]);
     let output = dropped_of(&format!("{EVENTS}{rows}")).join("\n");
-    assert!(
-        output.contains("a.csv:5: relative_speed_mps: differs from leader_speed_mps - follower_speed_mps in 1 rows")
-    );
+    let contradiction = "a.csv:5: relative_speed_mps: differs from leader_speed_mps - follower_speed_mps in 1 rows";
+    assert!(output.contains(contradiction), "{output}");
     assert!(output.contains("a.csv:6: gap_m: 1 impossible spacings"), "{output}");
 }
 
@@ -217,10 +221,8 @@ fn each_car_following_event_is_a_platoon_of_two() {
 fn an_event_that_begins_anew_is_another_one() {
     let rows = "1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n2,0.0,5,1,0,1\n1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n";
     let recording = read_text(&format!("{EVENTS}{rows}")).expect("readable");
-    assert_eq!(
-        recording.platoons.iter().map(RecordedPlatoon::event).collect::<Vec<_>>(),
-        [Some("1"), Some("2"), Some("1")]
-    );
+    let events: Vec<_> = recording.platoons.iter().map(|platoon| platoon.event.as_deref()).collect();
+    assert_eq!(events, [Some("1"), Some("2"), Some("1")]);
 }
 
 #[test]
@@ -228,7 +230,7 @@ fn events_that_differ_in_their_last_letter_are_two() {
     let name = "x".repeat(200);
     let recording = read_text(&format!("{EVENTS}{name}a,0,5,1,0,1\n{name}b,1,5,1,0,1\n")).expect("readable");
     let shown = format!("{}...", "x".repeat(40));
-    let platoons: Vec<_> = recording.platoons.iter().map(|p| (p.event(), p.time_s())).collect();
+    let platoons: Vec<_> = recording.platoons.iter().map(|p| (p.event.as_deref(), p.time_s.as_slice())).collect();
     assert_eq!(platoons, [(Some(shown.as_str()), &[0.0][..]), (Some(shown.as_str()), &[1.0][..])]);
 }
 
@@ -255,7 +257,7 @@ fn edited(text: &str, rows: std::ops::Range<usize>, edit: impl Fn(&mut Vec<Strin
 fn a_start_is_where_most_followers_are_known() {
     let whole = braking_platoon(4);
     let line_at = |text: &str| {
-        let episode = only_episode(&read_text(text).expect("readable"));
+        let episode = only_episode(text);
         (episode.start_s, episode.vehicles.len(), episode.not_recorded_behind)
     };
     assert_eq!(line_at(&whole), (3.5, 4, None));
@@ -264,8 +266,7 @@ fn a_start_is_where_most_followers_are_known() {
     // Unknown throughout: three remain.
     assert_eq!(line_at(&edited(&whole, 0..300, |fields| fields[7] = "-1".to_owned())), (3.5, 3, Some(4)));
     // The first follower is never known: no vehicle follows.
-    let absent = read_text(&edited(&whole, 0..300, |fields| fields[5].clear())).expect("readable");
-    let found = find_episodes(&absent, MinBrake::default(), LeaderSelection::First);
+    let found = episodes_of_first(&edited(&whole, 0..300, |fields| fields[5].clear()));
     assert_eq!(found.episodes, []);
     let output = found.dropped[0].to_string();
     assert!(output.contains("vehicle 1 brakes at 4.5 s, but the episode was left out: speed of and gap to vehicle 2"));
@@ -277,11 +278,10 @@ fn the_first_recorded_vehicle_leads() {
         fields[2] = fields[1].clone();
         fields[1] = "20".to_owned();
     });
-    let none =
-        find_episodes(&read_text(&second_brakes).expect("readable"), MinBrake::default(), LeaderSelection::First);
+    let none = episodes_of_first(&second_brakes);
     assert_eq!(none, FoundEpisodes::default(), "a follower's braking is its own affair");
     let first_lost = edited(&second_brakes, 0..300, |fields| fields[1].clear());
-    let episode = only_episode(&read_text(&first_lost).expect("readable"));
+    let episode = only_episode(&first_lost);
     assert_eq!((episode.vehicles[0].number, episode.ahead), (2, VehicleAhead::NotRecorded(1)));
     let scenario = episode.scenario("a".to_owned(), "a.csv").expect("valid");
     assert!(scenario.spec().about.contains("Vehicle 1, ahead of it, was not recorded at the time."));
@@ -317,9 +317,11 @@ fn brakings_less_than_five_seconds_apart_are_one_episode() {
             let more = 2.0 * (number(&fields[0]) - at_s).clamp(0.0, 1.0);
             fields[1] = format!("{:.3}", number(&fields[1]) - more);
         });
-        let found =
-            find_episodes(&read_text(&text).expect("readable"), MinBrake::default(), LeaderSelection::First).episodes;
-        found.iter().map(|episode| (episode.start_s, episode.duration_s)).collect::<Vec<_>>()
+        episodes_of_first(&text)
+            .episodes
+            .iter()
+            .map(|episode| (episode.start_s, episode.duration_s))
+            .collect::<Vec<_>>()
     };
     assert_eq!(again_at(13.0), [(3.5, 20.8)]);
     assert_eq!(again_at(15.0), [(3.5, 11.2), (13.7, 12.6)], "the first ends where the second begins");
@@ -328,15 +330,15 @@ fn brakings_less_than_five_seconds_apart_are_one_episode() {
 #[test]
 fn a_leap_of_the_speed_is_no_braking() {
     let text = edited(&braking_platoon(2), 60..62, |fields| fields[1] = "9".to_owned());
-    let found = find_episodes(&read_text(&text).expect("readable"), MinBrake::default(), LeaderSelection::First);
+    let found = episodes_of_first(&text);
     assert_eq!(found.episodes, []);
     let output = found.dropped[0].to_string();
     assert!(output.contains("its speed changes by -83.0 m/s² at 6 s, which no road vehicle can do"), "{output}");
     // A hole of half a second is bridged; a longer one ends the run, and the last speed is held.
     let bridged = edited(&braking_platoon(2), 100..104, |fields| fields[1].clear());
-    assert_eq!(only_episode(&read_text(&bridged).expect("readable")).time_s.last(), Some(&15.0));
+    assert_eq!(only_episode(&bridged).time_s.last(), Some(&15.0));
     let ended = edited(&braking_platoon(2), 100..105, |fields| fields[1].clear());
-    let episode = only_episode(&read_text(&ended).expect("readable"));
+    let episode = only_episode(&ended);
     assert_eq!((episode.time_s.last(), episode.duration_s), (Some(&6.4), 15.0));
 }
 

@@ -8,7 +8,7 @@ use std::io::Read;
 
 use super::dropped::{DroppedItem, Omission};
 use super::episode::EpisodeVehicle;
-use super::error::{RecordingError, ValueProblem};
+use super::error::{ColumnProblem, LineProblem, RecordingError};
 use super::lead_vehicles::{LeadVehicle, VehicleAhead};
 use super::map::{LengthSpec, RecordingMapSpec, ReferencePoint, TracksSpec};
 use super::motion::{SpeedSample, split_at_holes};
@@ -75,7 +75,7 @@ pub(super) fn read<R: Read>(
         let lane = match &lane {
             // A vehicle without a lane could be in any lane.
             Some(column) if row.text(column.index).is_empty() => {
-                return row.reject(&column.name, ValueProblem::Missing);
+                return row.reject(&column.name, ColumnProblem::Empty);
             }
             Some(column) => {
                 let next = lanes.len();
@@ -106,7 +106,7 @@ pub(super) fn read<R: Read>(
         });
     }
     if limiter.rows == 0 {
-        return Err(table.cut_short_error("its first sample"));
+        return table.reject_cut_short("its first sample");
     }
     let path = table.path();
     let mut dropped = Vec::new();
@@ -118,11 +118,9 @@ pub(super) fn read<R: Read>(
     if let Some((duplicate, count)) = remove_duplicates(&mut points) {
         dropped.push(item(Omission::DuplicateRows { vehicle: duplicate.vehicle, count }, duplicate.line));
     }
-    let filled = fill_holes(&mut points, map.interpolate_s).map_err(|line| RecordingError::TooLarge {
-        path: path.to_owned(),
-        line,
-        limit: MAX_ROWS,
-        what: "rows, with those that are filled",
+    let filled = fill_holes(&mut points, map.interpolate_s).map_err(|line| {
+        let problem = LineProblem::TooLarge { limit: MAX_ROWS, what: "rows, with those that are filled" };
+        RecordingError::Line { path: path.to_owned(), line, problem }
     })?;
     if let Some((line, count)) = filled {
         dropped.push(item(Omission::Interpolated { column: excerpt(&tracks.vehicle), count }, line));
@@ -145,8 +143,8 @@ pub(super) fn read<R: Read>(
 fn read_whole_number(row: &CsvRow<'_>, column: &CsvColumn) -> Result<u32, RecordingError> {
     match row.number(column)? {
         Some(number) if number >= 0.0 && number <= f64::from(u32::MAX) && number.fract() == 0.0 => Ok(number as u32),
-        Some(_) => row.reject(&column.name, ValueProblem::NotWhole { found: excerpt(row.text(column.index)) }),
-        None => row.reject(&column.name, ValueProblem::Missing),
+        Some(_) => row.reject(&column.name, ColumnProblem::NotWhole { found: excerpt(row.text(column.index)) }),
+        None => row.reject(&column.name, ColumnProblem::Empty),
     }
 }
 

@@ -3,6 +3,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
+use std::io::ErrorKind;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -20,8 +21,7 @@ pub(crate) const CONTROLLER_FILE_VERSION: u32 = 1;
 
 /// Content of a controller file (`docs/controllers.md`).
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[cfg_attr(feature = "schema", schemars(title = "crumple controller, version 1"))]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(title = "crumple controller, version 1"))]
 #[serde(deny_unknown_fields)]
 pub struct ControllerFile {
     /// Version of the format: 1.
@@ -265,7 +265,13 @@ fn load_controller_file(path: &Path, named_by: NameOrigin) -> Result<ControllerK
             let mapping = file.into_network_mapping().map_err(wrong)?;
             mapping.check().map_err(wrong)?;
             let place = folder.join(name);
-            let network = NetworkFile::load(&place)?;
+            let network = NetworkFile::load(&place).map_err(|error| {
+                let is_missing =
+                    matches!(&error, NetworkError::Read { source, .. } if source.kind() == ErrorKind::NotFound);
+                let problem =
+                    if is_missing { format!("there is no file {}", place.display()) } else { error.to_string() };
+                wrong(InvalidMapping::new("network", problem))
+            })?;
             if normalised.is_none()
                 && !matches_saved_statistics(&mapping, &place)
                 && let Some(reason) = normalisation_evidence(&network, &place)
@@ -281,19 +287,15 @@ fn load_controller_file(path: &Path, named_by: NameOrigin) -> Result<ControllerK
             Ok(Arc::new(controller.with_normalised(normalised).with_file_path(path)).into())
         }
         ControllerFileSource::Fmu(name) => {
-            let (deterministic, start_within_s) = (file.deterministic, file.start_within_s);
-            let (answer_within_s, wiring) = (file.answer_within_s, file.into_wiring());
-            let plain = ProcessSetup::from_fmu(&folder, &name, wiring).map_err(|problem| match problem {
+            let plain = ProcessSetup::from_fmu(&folder, &name, file.wiring()).map_err(|problem| match problem {
                 FmuProblem::Mapping(invalid) => wrong(invalid).into(),
-                problem => ControllerFileError::Fmu { path: folder.join(&name).display().to_string(), problem },
+                problem @ FmuProblem::ProcessFeatureDisabled => {
+                    ControllerFileError::Fmu { path: folder.join(&name).display().to_string(), problem }
+                }
+                problem => wrong(InvalidMapping::new("fmu", problem.describe(&folder.join(&name)))).into(),
             })?;
-            let setup = ProcessSetup {
-                deterministic: deterministic.unwrap_or(plain.deterministic),
-                start_within_s: start_within_s.unwrap_or(plain.start_within_s),
-                answer_within_s: answer_within_s.unwrap_or(plain.answer_within_s),
-                ..plain
-            };
-            process_controller(setup, path, permission("fmu")?).map_err(|invalid| wrong(invalid).into())
+            process_controller(file.with_limits(plain), path, permission("fmu")?)
+                .map_err(|invalid| wrong(invalid).into())
         }
         ControllerFileSource::Command(command) => {
             let setup = file.into_process_setup(command, &folder);
@@ -377,18 +379,25 @@ impl ControllerFile {
         })
     }
 
-    fn into_wiring(self) -> FmuConfig {
-        let Self { inputs, output, parameters, decision_interval_s, .. } = self;
+    fn wiring(&self) -> FmuConfig {
+        let Self { inputs, output, parameters, decision_interval_s, .. } = self.clone();
         FmuConfig { inputs, output, parameters, decision_interval_s }
     }
 
-    fn into_process_setup(self, command: Vec<String>, folder: &Path) -> ProcessSetup {
-        let plain = ProcessSetup::new(command, folder);
+    /// Returns a setup with the limits that the file states in place of the default ones.
+    fn with_limits(&self, plain: ProcessSetup) -> ProcessSetup {
         ProcessSetup {
-            files: self.files,
             deterministic: self.deterministic.unwrap_or(plain.deterministic),
             start_within_s: self.start_within_s.unwrap_or(plain.start_within_s),
             answer_within_s: self.answer_within_s.unwrap_or(plain.answer_within_s),
+            ..plain
+        }
+    }
+
+    fn into_process_setup(self, command: Vec<String>, folder: &Path) -> ProcessSetup {
+        let plain = self.with_limits(ProcessSetup::new(command, folder));
+        ProcessSetup {
+            files: self.files,
             mapping: Mapping {
                 decision_interval_s: self.decision_interval_s,
                 history: self.history,

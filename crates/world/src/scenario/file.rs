@@ -156,7 +156,7 @@ pub fn read_at_most(path: &Path, most: u64) -> Result<String, FileError> {
     let text = String::from_utf8(bytes).map_err(|error| {
         let whole = error.utf8_error().valid_up_to();
         let message = "is not UTF-8 text from here on: save it as UTF-8".to_owned();
-        FileError::Syntax { path: path.to_owned(), line: line_at_byte(error.as_bytes(), whole), message }
+        FileError::Syntax { path: path.to_owned(), line: line_at(error.as_bytes(), whole), message }
     })?;
     Ok(text.strip_prefix('\u{feff}').map(str::to_owned).unwrap_or(text))
 }
@@ -271,12 +271,8 @@ pub fn to_toml(scenario: &Scenario) -> Result<String, toml::ser::Error> {
 }
 
 /// Returns the line, from 1, of a byte offset.
-fn line_at(text: &str, offset: usize) -> usize {
-    line_at_byte(text.as_bytes(), offset)
-}
-
-fn line_at_byte(bytes: &[u8], offset: usize) -> usize {
-    1 + bytes.iter().take(offset).filter(|&&byte| byte == b'\n').count()
+fn line_at(text: impl AsRef<[u8]>, offset: usize) -> usize {
+    1 + text.as_ref().iter().take(offset).filter(|&&byte| byte == b'\n').count()
 }
 
 /// Splits a path such as `vehicles[1].driver.brake` into steps.

@@ -36,7 +36,6 @@ impl LaneChange {
     }
 
     /// Returns the value: a time in seconds or a gap in metres.
-    #[must_use]
     pub(crate) fn value(self) -> f64 {
         match self {
             Self::At(value) | Self::Gap(value) | Self::TimeToCollision(value) => value,

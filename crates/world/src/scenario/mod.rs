@@ -29,7 +29,7 @@ pub use paper::{PAPER_STEP_S, PaperDistribution, built_in_scenario, built_in_sce
 pub use profile::{Brake, BrakeToSpeed, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds};
 pub use speed_dip::{SPEED_DIP_ONSET_S, speed_dip};
 pub(crate) use validate::MAX_VEHICLE_STEPS;
-pub use validate::whole_multiple;
+pub use validate::{MAX_MULTIPLE, whole_multiple};
 pub use vehicle::{VehicleClass, VehicleSpec};
 
 /// Scenario file version that this release reads and writes.
@@ -139,6 +139,22 @@ pub struct Scenario {
 }
 
 impl ScenarioSpec {
+    /// Creates a spec of this version without a description, with all other fields at their defaults.
+    #[must_use]
+    pub fn new(name: String, duration_s: f64, vehicles: Vec<VehicleSpec>) -> Self {
+        Self {
+            version: SCENARIO_VERSION,
+            name,
+            about: String::new(),
+            duration_s,
+            step_s: PAPER_STEP_S,
+            seed: 0,
+            environment: Environment::default(),
+            sensors: Sensors::default(),
+            vehicles,
+        }
+    }
+
     /// Reads the controllers of drivers from files; paths are relative to `folder`. A scenario with unread drivers is
     /// invalid.
     ///
@@ -226,14 +242,6 @@ impl Scenario {
         let ahead = self.spec.vehicles.get(index.checked_sub(1)?)?;
         let behind = self.spec.vehicles.get(index)?;
         Some(ahead.position_m - ahead.length_m() - behind.position_m)
-    }
-}
-
-impl TryFrom<ScenarioSpec> for Scenario {
-    type Error = InvalidField;
-
-    fn try_from(spec: ScenarioSpec) -> Result<Self, InvalidField> {
-        Self::new(spec)
     }
 }
 

@@ -45,10 +45,6 @@ impl<'de, D: Deserializer<'de>> Deserializer<'de> for NamedFields<D> {
     ) -> Result<V::Value, D::Error> {
         self.0.deserialize_struct(name, fields, StructVisitor(visitor))
     }
-
-    fn is_human_readable(&self) -> bool {
-        self.0.is_human_readable()
-    }
 }
 
 macro_rules! forward_visit {
@@ -132,10 +128,6 @@ impl<'de, A: SeqAccess<'de>> SeqAccess<'de> for NamedFields<A> {
     fn next_element_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<Option<S::Value>, A::Error> {
         self.0.next_element_seed(NamedFields(seed))
     }
-
-    fn size_hint(&self) -> Option<usize> {
-        self.0.size_hint()
-    }
 }
 
 impl<'de, A: MapAccess<'de>> MapAccess<'de> for NamedFields<A> {
@@ -147,10 +139,6 @@ impl<'de, A: MapAccess<'de>> MapAccess<'de> for NamedFields<A> {
 
     fn next_value_seed<S: DeserializeSeed<'de>>(&mut self, seed: S) -> Result<S::Value, A::Error> {
         self.0.next_value_seed(NamedFields(seed))
-    }
-
-    fn size_hint(&self) -> Option<usize> {
-        self.0.size_hint()
     }
 }
 

@@ -7,10 +7,7 @@
 use rand::RngExt;
 use rand_distr::{Distribution, Normal};
 
-use super::{
-    Brake, Driver, Environment, InvalidField, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors,
-    VehicleClass, VehicleSpec,
-};
+use super::{Brake, Driver, InvalidField, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec};
 use crate::control::{AebSettings, ControllerSpec};
 use crate::random::{self, Purpose};
 
@@ -63,17 +60,7 @@ pub fn built_in_scenario(name: &str) -> Option<Scenario> {
 }
 
 fn spec(name: String, about: String, seed: u64, vehicles: Vec<VehicleSpec>) -> ScenarioSpec {
-    ScenarioSpec {
-        version: SCENARIO_VERSION,
-        name,
-        about,
-        duration_s: DURATION_S,
-        step_s: PAPER_STEP_S,
-        seed,
-        environment: Environment::default(),
-        sensors: Sensors::default(),
-        vehicles,
-    }
+    ScenarioSpec { about, seed, ..ScenarioSpec::new(name, DURATION_S, vehicles) }
 }
 
 fn baseline() -> Driver {

@@ -124,7 +124,6 @@ impl LeadProfile {
 
     /// Returns the constant acceleration of all steps from `from_s` until a time, and this time, so that callers can
     /// skip those steps; `None` if the acceleration depends on the speed.
-    #[must_use]
     pub(crate) fn constant_acceleration_span(&self, from_s: f64) -> Option<[f64; 2]> {
         match self {
             Self::ConstantSpeed => Some([0.0, f64::INFINITY]),
@@ -291,11 +290,8 @@ mod tests {
                 for step in from..300 {
                     let [from_s, to_s] = [step, step + 1].map(|step| f64::from(step) * 0.01);
                     if to_s <= until_s {
-                        assert_eq!(
-                            held_mps2.to_bits(),
-                            profile.acceleration_mps2(from_s, to_s, 20.0).to_bits(),
-                            "{profile:?}"
-                        );
+                        let found_mps2 = profile.acceleration_mps2(from_s, to_s, 20.0);
+                        assert_eq!(held_mps2.to_bits(), found_mps2.to_bits(), "{profile:?}");
                         steps_held += 1;
                     }
                 }

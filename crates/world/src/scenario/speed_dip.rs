@@ -1,8 +1,7 @@
 //! The standard experiment of string stability: a leader slows down briefly and recovers.
 
 use super::{
-    Driver, Environment, InvalidField, LeadProfile, PAPER_STEP_S, PiecewiseAcceleration, SCENARIO_VERSION, Scenario,
-    ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
+    Driver, InvalidField, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
 
 /// Start of the leader's dip in [`speed_dip`], in seconds; the line first settles to its time gaps.
@@ -31,16 +30,10 @@ pub fn speed_dip(followers: usize, time_gap_s: f64) -> Result<Scenario, InvalidF
     let leader = VehicleSpec::new(class, 0.0, SPEED_MPS, Driver::Profile(LeadProfile::Pieces(pieces)));
     let behind = (1..=followers)
         .map(|index| VehicleSpec::new(class, -spacing_m * index as f64, SPEED_MPS + CLOSING_MPS, Driver::UnderTest));
+    let name = format!("speed-dip-{followers}");
     Scenario::new(ScenarioSpec {
-        version: SCENARIO_VERSION,
-        name: format!("speed-dip-{followers}"),
         about: "A leader slows down a little and recovers: does the disturbance grow along the line?".to_owned(),
-        duration_s: DURATION_S,
-        step_s: PAPER_STEP_S,
-        seed: 0,
-        environment: Environment::default(),
-        sensors: Sensors::default(),
-        vehicles: std::iter::once(leader).chain(behind).collect(),
+        ..ScenarioSpec::new(name, DURATION_S, std::iter::once(leader).chain(behind).collect())
     })
 }
 

@@ -2,7 +2,6 @@
 
 use super::invalid::{AllowedRange, FieldProblem, InvalidField};
 use super::{Driver, LaneChange, LeadProfile, SCENARIO_VERSION, ScenarioSpec, VehicleSpec};
-use crate::control::ControllerSpec;
 
 const fn range_from(min: f64, max: f64) -> AllowedRange {
     AllowedRange { min, max, excludes_min: false }
@@ -29,7 +28,10 @@ pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
     if i64::try_from(spec.seed).is_err() {
         return root.field("seed").reject(FieldProblem::Seed { found: spec.seed });
     }
-    let steps = count_steps(spec)?;
+    let Some(steps) = whole_multiple(spec.duration_s, spec.step_s) else {
+        let (step_s, found) = (spec.step_s, spec.duration_s);
+        return root.field("duration_s").reject(FieldProblem::NotWholeSteps { step_s, found });
+    };
     let environment = root.field("environment");
     environment.field("friction").check_number(spec.environment.friction, range_from(0.01, 1.0))?;
     let sensors = root.field("sensors");
@@ -62,18 +64,13 @@ pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
     Ok(steps)
 }
 
-fn count_steps(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
-    let problem = FieldProblem::NotWholeSteps { step_s: spec.step_s, found: spec.duration_s };
-    match whole_multiple(spec.duration_s, spec.step_s) {
-        Some(steps) => Ok(steps),
-        None => FieldPath::ROOT.field("duration_s").reject(problem),
-    }
-}
+/// Largest result of [`whole_multiple`].
+pub const MAX_MULTIPLE: u32 = 1_000_000_000;
 
-/// Returns `whole / part` if it is a whole number up to rounding.
+/// Returns `whole / part` if it is a whole number up to rounding, from 1 to [`MAX_MULTIPLE`].
 pub fn whole_multiple(whole: f64, part: f64) -> Option<usize> {
     let times = (whole / part).round();
-    let fits = (1.0..=1e9).contains(&times) && (times * part - whole).abs() <= 1e-9 * whole;
+    let fits = (1.0..=f64::from(MAX_MULTIPLE)).contains(&times) && (times * part - whole).abs() <= 1e-9 * whole;
     fits.then_some(times as usize)
 }
 
@@ -99,7 +96,10 @@ fn check_vehicle(place: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), Inv
             check_within_limits(&driver, vehicle, profile)?;
             check_no_delays(place, vehicle)
         }
-        Driver::Controller(controller) => check_controller(&driver, controller),
+        Driver::Controller(controller) => controller.values().try_for_each(|(field, value)| {
+            let [least, most] = field.range;
+            driver.field(field.name).check_number(value, range_from(least, most))
+        }),
         Driver::File(file) if file.controller().is_none() => driver
             .field("path")
             .reject(FieldProblem::DriverFile { reason: "was not read: read the scenario from a file".to_owned() }),
@@ -190,13 +190,6 @@ fn check_profile(place: &FieldPath<'_>, profile: &LeadProfile) -> Result<(), Inv
             place.check_series(("time_s", &recorded.time_s), ("speed_mps", &recorded.speed_mps), SPEED_RANGE_MPS)
         }
     }
-}
-
-fn check_controller(place: &FieldPath<'_>, controller: &ControllerSpec) -> Result<(), InvalidField> {
-    controller.values().try_for_each(|(field, value)| {
-        let [least, most] = field.range;
-        place.field(field.name).check_number(value, range_from(least, most))
-    })
 }
 
 /// A location in the file. Its path is formatted only for errors: searches check millions of valid scenarios.

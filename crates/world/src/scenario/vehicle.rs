@@ -3,6 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::driver::Driver;
+use super::is_default;
 use super::lane_change::LaneChange;
 
 struct ClassPreset {
@@ -127,19 +128,19 @@ pub struct VehicleSpec {
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 30.0)))]
     pub max_accel_mps2: Option<f64>,
     /// Standard deviation of the normal noise added to the acceleration each step, in m/s². Default 0.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 10.0)))]
     pub acceleration_noise_mps2: f64,
     /// Time from an observation to the driver's command, in seconds. Default 0.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 10.0)))]
     pub reaction_delay_s: f64,
     /// Time constant of the first-order response of acceleration to the command, in seconds. Default 0: immediate.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 10.0)))]
     pub actuator_lag_s: f64,
     /// Dead time between the command and the first response of the actuator, in seconds. Default 0.
-    #[serde(default, skip_serializing_if = "is_zero")]
+    #[serde(default, skip_serializing_if = "is_default")]
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 10.0)))]
     pub actuator_delay_s: f64,
     /// Fastest change of acceleration, in m/s³. Default: unlimited.
@@ -154,10 +155,6 @@ pub struct VehicleSpec {
     /// Trigger for leaving the lane once it is in it. Only for scripted vehicles. Default: never.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub leaves: Option<LaneChange>,
-}
-
-fn is_zero(value: &f64) -> bool {
-    *value == 0.0
 }
 
 impl VehicleSpec {

@@ -31,7 +31,6 @@ impl Motion {
     }
 
     /// Returns the time until the vehicle stops, in seconds; infinite if it does not.
-    #[must_use]
     pub(crate) fn stopping_time_s(self) -> f64 {
         if self.acceleration_mps2 < 0.0 { self.speed_mps / -self.acceleration_mps2 } else { f64::INFINITY }
     }
@@ -60,7 +59,6 @@ pub(super) fn may_collide(gap_m: f64, rear_mps: [f64; 2], dt: f64) -> bool {
 /// Returns the first instant in `[0, dt_s]` at which the gap between two vehicles is zero or less, if any.
 ///
 /// Both motions are quadratic until a vehicle stops, so the gap is piecewise quadratic with at most three pieces.
-#[must_use]
 pub(crate) fn first_contact(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> Option<f64> {
     let gap = |front: Motion, rear: Motion| {
         let gap_m = front.position_m - front_length_m - rear.position_m;
@@ -96,7 +94,6 @@ pub(super) fn first_zero(
 }
 
 /// Returns the minimum gap between two vehicles at any instant after now and up to `dt_s`, in metres.
-#[must_use]
 pub(crate) fn closest_gap_m(front: Motion, rear: Motion, front_length_m: f64, dt_s: f64) -> f64 {
     closest_gap_given_ends_m([front, rear], [front.after(dt_s), rear.after(dt_s)], front_length_m, dt_s)
 }

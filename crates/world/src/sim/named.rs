@@ -1,6 +1,5 @@
 //! Controllers under test, by name.
 
-use std::fmt;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -23,7 +22,7 @@ use crate::scenario::file::{MAX_TOML_BYTES, line_in_toml, read_at_most};
 /// assert_eq!(shielded.name, "shield:acc-aeb,ttc_s=2");
 /// assert!(NamedController::find("acc-aeb,ttc=2", Path::new("")).is_err());
 /// ```
-#[derive(Clone)]
+#[derive(Debug, Clone)]
 pub struct NamedController {
     /// Built-in name, or path as given by the user.
     pub name: String,
@@ -387,12 +386,6 @@ fn parse_shield_settings(text: &str) -> Result<ShieldSettings, UnknownController
         }
     }
     Ok(settings)
-}
-
-impl fmt::Debug for NamedController {
-    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        out.debug_tuple("NamedController").field(&self.name).finish()
-    }
 }
 
 impl From<ControllerSpec> for NamedController {

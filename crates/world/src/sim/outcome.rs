@@ -90,19 +90,13 @@ impl Outcome {
     /// Returns the first collision, if any.
     #[must_use]
     pub fn contact(&self) -> Option<&Contact> {
-        match self {
-            Self::NoCollision | Self::ControllerFailed(_) => None,
-            Self::Collision(contact) => Some(contact),
-        }
+        if let Self::Collision(contact) = self { Some(contact) } else { None }
     }
 
     /// Returns the controller that failed, if any.
     #[must_use]
     pub fn failed_controller(&self) -> Option<&FailedController> {
-        match self {
-            Self::NoCollision | Self::Collision(_) => None,
-            Self::ControllerFailed(failed) => Some(failed),
-        }
+        if let Self::ControllerFailed(failed) = self { Some(failed) } else { None }
     }
 
     /// True if the run ended without a collision and without a failed controller.

@@ -3,7 +3,6 @@
 use std::sync::{Arc, OnceLock};
 
 use super::AfterContact;
-use super::actuator::{Actuator, Disturbance};
 use super::lane::{Bodies, LaneState};
 use super::motion::Motion;
 use super::platoon::PlatoonState;
@@ -139,12 +138,28 @@ pub enum RunError {
 pub struct Run {
     scenario: Scenario,
     options: RunOptions,
-    substeps: usize,
-    dt_s: f64,
+    pub(super) time_grid: TimeGrid,
     /// Created on demand: most runs with the true state never need it.
     tuning: OnceLock<Arc<EgoTuning>>,
     /// Assumptions of shields, one per vehicle; `None` without a shield.
     shield_params: Vec<Option<ShieldParams>>,
+}
+
+/// Times of a run. The stepwise engine has a copy, which saves a pointer access per step.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct TimeGrid {
+    pub(super) step_s: f64,
+    pub(super) dt_s: f64,
+    pub(super) substeps: usize,
+    pub(super) steps: usize,
+    pub(super) after_contact: AfterContact,
+}
+
+impl TimeGrid {
+    /// Returns the time `substep` integration steps after the start of step `step`, in seconds.
+    pub(super) fn time_s(self, step: usize, substep: usize) -> f64 {
+        step as f64 * self.step_s + substep as f64 * self.dt_s
+    }
 }
 
 impl Run {
@@ -159,11 +174,13 @@ impl Run {
             Some(dt_s) => whole_multiple(step_s, dt_s).ok_or(RunError::IntegrationStep { dt_s, step_s })?,
         };
         let dt_s = step_s / substeps as f64;
-        let (tuning, frames) = Default::default();
-        let mut run = Self { scenario: scenario.clone(), options, substeps, dt_s, tuning, shield_params: frames };
+        let (steps, after_contact) = (scenario.steps(), options.after_contact);
+        let time_grid = TimeGrid { step_s, dt_s, substeps, steps, after_contact };
+        let (tuning, shield_params) = Default::default();
+        let mut run = Self { scenario: scenario.clone(), options, time_grid, tuning, shield_params };
         let found = run.vehicle_samples();
         if found > MAX_VEHICLE_STEPS {
-            return Err(RunError::TooFine { dt_s: run.dt_s(), limit: MAX_VEHICLE_STEPS, found });
+            return Err(RunError::TooFine { dt_s, limit: MAX_VEHICLE_STEPS, found });
         }
         run.shield_params = run.shield_params_by_vehicle()?;
         let vehicles = scenario.vehicles();
@@ -208,22 +225,17 @@ impl Run {
     /// Returns the number of integration steps per step of the scenario.
     #[must_use]
     pub fn substeps(&self) -> usize {
-        self.substeps
+        self.time_grid.substeps
     }
 
     /// Returns the integration step, in seconds.
     #[must_use]
     pub fn dt_s(&self) -> f64 {
-        self.dt_s
+        self.time_grid.dt_s
     }
 
     pub(super) fn vehicle_samples(&self) -> usize {
-        self.scenario.steps().saturating_mul(self.scenario.vehicles().len()).saturating_mul(self.substeps)
-    }
-
-    /// Returns the time `substep` integration steps after the start of step `step`, in seconds.
-    pub(super) fn time_s(&self, step: usize, substep: usize) -> f64 {
-        step as f64 * self.scenario.spec().step_s + substep as f64 * self.dt_s()
+        self.scenario.steps().saturating_mul(self.scenario.vehicles().len()).saturating_mul(self.substeps())
     }
 
     pub(super) fn tuning(&self) -> &Arc<EgoTuning> {
@@ -318,14 +330,6 @@ impl Run {
             let spec = self.scenario.spec();
             EgoEstimator::new(spec.seed, index, &spec.sensors, self.tuning(), &true_state(platoon, index))
         })
-    }
-
-    pub(super) fn actuator(&self, index: usize) -> Actuator {
-        Actuator::new(&self.scenario, index)
-    }
-
-    pub(super) fn disturbance(&self, index: usize) -> Option<Disturbance> {
-        Disturbance::new(&self.scenario, index)
     }
 
     /// Returns all vehicles in their initial state.

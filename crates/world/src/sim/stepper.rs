@@ -8,7 +8,7 @@ use self::short_line::FallbackReason;
 use super::actuator::{Actuator, Disturbance, add_noise_unless_at_rest};
 use super::platoon::PlatoonState;
 use super::recorder::{VehicleExtremes, assemble_result, raise_max_brake, summarize_vehicle, ttc_s};
-use super::run::{VehicleController, true_state};
+use super::run::{TimeGrid, VehicleController, true_state};
 use super::shielding::interventions;
 use super::{AfterContact, FailedController, Impact, Motion, RecordingLevel, Run, SimulationResult, Trace};
 use crate::control::{Controller, ControllerFailure};
@@ -46,32 +46,6 @@ pub struct StepView<'a> {
     pub has_ended: bool,
 }
 
-/// Constants that every step needs, copied out of `Run` to save a pointer access per step.
-#[derive(Debug, Clone, Copy)]
-struct TimeGrid {
-    step_s: f64,
-    dt_s: f64,
-    substeps: usize,
-    steps: usize,
-    after_contact: AfterContact,
-}
-
-impl TimeGrid {
-    fn new(run: &Run) -> Self {
-        Self {
-            step_s: run.scenario().spec().step_s,
-            dt_s: run.dt_s(),
-            substeps: run.substeps(),
-            steps: run.scenario().steps(),
-            after_contact: run.options().after_contact,
-        }
-    }
-
-    fn time_s(self, step: usize, substep: usize) -> f64 {
-        step as f64 * self.step_s + substep as f64 * self.dt_s
-    }
-}
-
 impl Stepper {
     /// Creates a run in its initial state.
     #[must_use]
@@ -82,7 +56,7 @@ impl Stepper {
         let mut tallies = vec![VehicleExtremes::INITIAL; loops.len()];
         update_min_ttc(&mut tallies, &platoon);
         Self {
-            time_grid: TimeGrid::new(run),
+            time_grid: run.time_grid,
             trace: Trace::begin(keep, &platoon, run.scenario().steps() * run.substeps() + 1),
             next_acceleration_mps2: vec![0.0; loops.len()],
             platoon,
@@ -327,8 +301,8 @@ impl VehicleLoop {
                 VehicleController::Controller(controller) => VehicleController::Controller(controller),
             },
             estimator: run.estimator(index, platoon).map(Box::new),
-            actuator: run.actuator(index),
-            disturbance: run.disturbance(index),
+            actuator: Actuator::new(run.scenario(), index),
+            disturbance: Disturbance::new(run.scenario(), index),
             observation: None,
             tracked_neighbours: [platoon.lane.ahead(index), platoon.lane.behind(index)],
             command_mps2: None,

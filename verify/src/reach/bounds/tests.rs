@@ -1,5 +1,6 @@
 //! Comparisons of rounding bounds with the formulas.
 
+use super::super::fixtures::is_near;
 use super::*;
 use proptest::prelude::*;
 
@@ -19,10 +20,6 @@ fn network_bounds(
     rho: [f64; NUMBERS],
 ) -> NetworkBounds {
     NetworkBounds { columns: columns.concat(), centre: centre.to_vec(), rho: rho.to_vec(), excess: Vec::new() }
-}
-
-fn is_near(found: f64, expected: f64, relative: f64) -> bool {
-    (found - expected).abs() <= relative * expected.abs()
 }
 
 fn abs_sum(numbers: &[f64]) -> f64 {

@@ -7,7 +7,7 @@ use super::*;
 const STEP_S: f64 = 0.1;
 
 fn state_with_speed(speed: AffineForm) -> VehicleState {
-    VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() }
+    VehicleState { speed, ..VehicleState::default() }
 }
 
 /// Returns distance and speed after one acceleration per step, without reversing.

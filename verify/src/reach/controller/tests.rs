@@ -1,4 +1,4 @@
-use super::super::fixtures::{affine_controller, affine_input, assert_bounds, point_form, symbol_form};
+use super::super::fixtures::{affine_controller, affine_input, assert_bounds, is_near, point_form, symbol_form};
 use super::*;
 
 const NO_ERROR: [f64; OBSERVATION_SIZE] = [0.0; OBSERVATION_SIZE];
@@ -13,10 +13,6 @@ fn coefficients(factors: [f64; 2]) -> [f64; OBSERVATION_SIZE] {
     let mut of = NO_ERROR;
     of[..2].copy_from_slice(&factors);
     of
-}
-
-fn is_near(found: f64, expected: f64, relative: f64) -> bool {
-    (found - expected).abs() <= relative * expected.abs()
 }
 
 #[test]

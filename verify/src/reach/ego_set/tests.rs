@@ -214,7 +214,7 @@ fn symbols_become_fewer_once_they_are_too_many() {
         speed.replace_terms(SHARED_SYMBOLS, (0..count).map(|i| 1.0 + i as f64), 0.0);
         let mut members = egos_at_speed(point_form(10.0));
         members.next_symbol = SHARED_SYMBOLS + count;
-        let next = members.with_state(MotionMode::Restarted, AffineForm::default(), speed, AffineForm::default());
+        let next = members.with_ego_in_mode(MotionMode::Restarted, VehicleState { speed, ..VehicleState::default() });
         assert!(
             next.mode == MotionMode::Restarted && next.next_symbol.abs_diff(SHARED_SYMBOLS + expected) <= 1,
             "{}",
@@ -259,7 +259,7 @@ fn a_direction_is_the_share_of_the_speed() {
 
 #[test]
 fn a_vehicle_that_moves_later_in_an_interval_keeps_its_mode() {
-    let seen = |speed| VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
+    let seen = |speed| VehicleState { speed, ..VehicleState::default() };
     let kind =
         |before: AffineForm, after: AffineForm| EgoSet::from_speed(before, SHARED_SYMBOLS).with_ego(seen(after)).mode;
     assert_eq!(kind(point_form(5.0), point_form(4.0)), MotionMode::Moving);

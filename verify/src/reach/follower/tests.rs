@@ -194,11 +194,7 @@ fn the_speed_that_acc_aeb_keeps_is_the_one_it_starts_with_unless_it_brakes_at_on
 #[test]
 fn an_observed_acceleration_is_one_that_may_be_held() {
     let step = Interval::point(0.1);
-    let at = |speed: AffineForm| VehicleState {
-        distance: AffineForm::default(),
-        speed,
-        acceleration: AffineForm::default(),
-    };
+    let at = |speed: AffineForm| VehicleState { speed, ..VehicleState::default() };
     let (moves, may_stand, stands) =
         (at(symbol_form(0, 5.0, 6.0)), at(symbol_form(0, 0.0, 6.0)), at(AffineForm::default()));
     let [brakes, either, starts] = [[-2.0, -1.0], [-2.0, 1.0], [0.5, 1.0]].map(|[low, high]| symbol_form(1, low, high));
@@ -221,7 +217,7 @@ fn a_step_of_a_modelled_follower_is_the_closed_form() {
     let at = |distance, speed| VehicleState {
         distance: point_form(distance),
         speed: point_form(speed),
-        acceleration: AffineForm::default(),
+        ..VehicleState::default()
     };
     let (own, ego) = (at(7.0, 15.0), at(9.0, 14.0));
     let (later, asked) = behind.advance(&own, &ego);

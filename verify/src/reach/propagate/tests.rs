@@ -7,22 +7,6 @@ use super::*;
 const DEFAULT_POINT: [f64; 8] = [20.0, 20.0, 10.0, 10.0, 10.0, 0.0, 6.0, 0.0];
 const LATCHED: Option<FollowerModel> = Some(FollowerModel::Latched { ttc_s: 2.0 });
 
-fn new_analysis<'a>(scene: &'a ReachProblem<'a>, work: &'a OpBudget) -> ReachAnalysis<'a> {
-    let step = Interval::point(scene.step_s);
-    let symbol = |dimension: BoxDimension| AffineForm::symbol(dimension as usize, scene.ranges.get(dimension));
-    let leader = [BoxDimension::LeaderSpeedMps, BoxDimension::LeaderBrakeMps2, BoxDimension::OnsetSteps].map(symbol);
-    ReachAnalysis {
-        scene,
-        budget: work,
-        step,
-        leader: LeaderModel::new(scene, leader, step),
-        gaps: [BoxDimension::GapAheadM, BoxDimension::GapBehindM].map(symbol),
-        result: ReachResult::INITIAL,
-        window_count: 0,
-        tube: None,
-    }
-}
-
 fn unlimited_budget() -> OpBudget {
     OpBudget::new(WorkLimit::UNLIMITED)
 }
@@ -84,7 +68,7 @@ fn once_all_stand_nothing_is_left_to_do() {
 fn an_instant_has_a_symbol_of_its_own() {
     let (controller, work) = (constant_controller(0.0), unlimited_budget());
     let scene = ReachProblem { follower: LATCHED, ..default_problem(&controller, point_box(DEFAULT_POINT)) };
-    let onset = new_analysis(&scene, &work).latched_follower([2.0, 5.0]).onset;
+    let onset = ReachAnalysis::new(&scene, &work, None).latched_follower([2.0, 5.0]).onset;
     assert!(onset.terms().len() == SHARED_SYMBOLS && onset.terms()[BoxDimension::ALL.len()] > 0.0);
     assert_bounds(onset.range(), [2.0, 5.0], 1e-10);
 }
@@ -101,7 +85,7 @@ fn a_decision_has_the_stated_cost() {
         };
         let cost = OPS_PER_DECISION + OPS_PER_LEADER_SYMBOL * symbols + 3 * OPS_PER_STEP;
         let work = OpBudget::new(WorkLimit::from_operations(cost));
-        let mut analysis = new_analysis(&scene, &work);
+        let mut analysis = ReachAnalysis::new(&scene, &work, None);
         let set = analysis.observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
         assert!(analysis.decide(0, &set).is_some());
         assert!(work.charge(0) && !work.charge(1));
@@ -124,7 +108,7 @@ fn a_residual_policy_costs_a_base_controller_at_each_step() {
     let work = OpBudget::new(WorkLimit::from_operations(
         OPS_PER_DECISION + 3 * OPS_PER_STEP + 3 * OPS_PER_LAW_SYMBOL * SHARED_SYMBOLS as u64,
     ));
-    let mut analysis = new_analysis(&scene, &work);
+    let mut analysis = ReachAnalysis::new(&scene, &work, None);
     let set = analysis.observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
     assert!(analysis.decide(0, &set).is_some());
     assert!(work.charge(0) && !work.charge(1));
@@ -134,7 +118,8 @@ fn a_residual_policy_costs_a_base_controller_at_each_step() {
 fn accelerations_are_looked_at_one_by_one() {
     let (controller, work) = (constant_controller(0.0), unlimited_budget());
     let scene = default_problem(&controller, point_box(DEFAULT_POINT));
-    let mut set = new_analysis(&scene, &work).observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
+    let mut set =
+        ReachAnalysis::new(&scene, &work, None).observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
     let seen = |set: &StateSet| -> Vec<_> {
         set.split_cases()
             .iter()
@@ -155,7 +140,7 @@ fn sets_that_are_too_wide_are_undecided() {
     for (radius, of_wanted, goes_on) in [(39.0, 0.0, true), (41.0, 0.0, false), (39.0, 1.1, false), (30.0, 1.1, true)] {
         let controller = affine_controller([0.0, 0.0, 0.0, of_wanted, 0.0, 0.0, 0.0, 0.0], 0.0);
         let scene = default_problem(&controller, point_box(DEFAULT_POINT));
-        let mut analysis = new_analysis(&scene, &work);
+        let mut analysis = ReachAnalysis::new(&scene, &work, None);
         let set =
             analysis.observe(0, EgoSet::from_speed(symbol_form(3, 50.0 - radius, 50.0 + radius), SHARED_SYMBOLS), None);
         assert_eq!(analysis.decide(0, &set).is_some(), goes_on);
@@ -171,7 +156,7 @@ fn a_follower_fires_where_its_guard_may_be_negative() {
         ranges.gap_behind_m = Interval::new(gap[0], gap[1]).unwrap();
         ranges.follower_speed_mps = Interval::point(speeds[1]);
         let scene = ReachProblem { follower: LATCHED, decision_steps: 4, ..default_problem(&controller, ranges) };
-        let analysis = new_analysis(&scene, &work);
+        let analysis = ReachAnalysis::new(&scene, &work, None);
         let follower = analysis.latched_follower([100.0, 100.0]);
         analysis.firing_instants(
             8,
@@ -199,8 +184,8 @@ fn the_gap_to_a_modelled_follower_is_bounded_in_each_step() {
     let ranges = point_box([50.0, 10.0, 20.0, 15.0, 20.0, 0.0, 6.0, 0.0]);
     let law = Some(FollowerModel::ByLaw(extreme_law(true)));
     let scene = ReachProblem { follower: law, decision_steps: 3, ..default_problem(&controller, ranges) };
-    let analysis = new_analysis(&scene, &work);
-    let at_rest = |speed| VehicleState { distance: AffineForm::default(), speed, acceleration: AffineForm::default() };
+    let analysis = ReachAnalysis::new(&scene, &work, None);
+    let at_rest = |speed| VehicleState { speed, ..VehicleState::default() };
     let members = EgoSet::from_speed(point_form(15.0), SHARED_SYMBOLS).with_follower(Some(at_rest(point_form(20.0))));
     let follow = |mps2: f64| analysis.advance_follower(&members, &CommandProfile::Constant(point_form(mps2))).unwrap();
     for (mps2, m) in [(1.0, 7.0), (-2.0, 6.0)] {
@@ -228,7 +213,7 @@ fn gaps_are_bounded_between_decisions() {
         // It brakes harder than the follower.
         (10.0, [-9.0, -8.0], [9.0, 0.0]),
     ] {
-        let mut analysis = new_analysis(&scene, &work);
+        let mut analysis = ReachAnalysis::new(&scene, &work, None);
         let follower = analysis.latched_follower([2.0, 2.0]);
         let set = analysis.observe(0, EgoSet::from_speed(point_form(speed), SHARED_SYMBOLS), Some(&follower));
         let now = StateSet { gaps: [point_form(7.0), point_form(4.0)], ..set };
@@ -248,7 +233,7 @@ fn gaps_are_bounded_between_decisions() {
 fn a_gap_of_exactly_nothing_is_in_doubt_and_no_contact() {
     let (controller, work) = (constant_controller(0.0), unlimited_budget());
     let scene = default_problem(&controller, point_box([0.0; 8]));
-    let mut analysis = new_analysis(&scene, &work);
+    let mut analysis = ReachAnalysis::new(&scene, &work, None);
     let set = analysis.observe(0, EgoSet::from_speed(AffineForm::default(), SHARED_SYMBOLS), None);
     let before = set.gaps.clone();
     assert!(!analysis.record_gaps(3, &before, &set, &CommandProfile::Constant(AffineForm::default()), None, None));
@@ -263,7 +248,7 @@ fn too_many_windows_are_given_up() {
     let (controller, work) = (constant_controller(0.0), unlimited_budget());
     for (counts, goes_on) in [(&[MAX_WINDOWS][..], true), (&[MAX_WINDOWS + 1], false), (&[MAX_WINDOWS, 1], false)] {
         let scene = ReachProblem { follower: LATCHED, ..default_problem(&controller, point_box(DEFAULT_POINT)) };
-        let mut analysis = new_analysis(&scene, &work);
+        let mut analysis = ReachAnalysis::new(&scene, &work, None);
         let windows = |count: usize| (0..count as u32).map(|i| FiringWindow::new(1000 * i)).collect();
         let all = counts.iter().map(|&count| analysis.propagate_fired(windows(count))).collect::<Option<Vec<bool>>>();
         assert_eq!(all.is_some(), goes_on);

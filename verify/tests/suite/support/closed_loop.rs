@@ -4,6 +4,7 @@ use crumple_verify::reach::{
     Activation, ControllerInput, FollowerLaw, FollowerModel, IdmLaw, LinearLayer, NetworkLayer, NeuralController,
     ReachProblem, ResidualPolicy,
 };
+use num_traits::Float;
 
 /// Gap ahead, gap behind, speeds of leader, ego and follower, brakes of leader and follower, onset in steps.
 pub type ReachPoint = [f64; 8];
@@ -17,7 +18,7 @@ pub fn controller_output(controller: &NeuralController, seen: [f64; 8], is_follo
         let value = input.absent_value.filter(|_| !is_followed).unwrap_or(sum);
         ((value - input.offset) / input.scale).clamp(input.low, input.high) as f32
     };
-    let answers = controller.layers.iter().fold(controller.inputs.iter().map(input).collect::<Vec<f32>>(), apply_layer);
+    let answers = network_outputs(&controller.layers, controller.inputs.iter().map(input).collect::<Vec<f32>>());
     let wanted = controller.offset_mps2 + controller.scale_mps2 * f64::from(answers[controller.output_index]);
     if controller.is_clipped {
         wanted.clamp(controller.action_bounds_mps2[0], controller.action_bounds_mps2[1])
@@ -26,13 +27,19 @@ pub fn controller_output(controller: &NeuralController, seen: [f64; 8], is_follo
     }
 }
 
-fn apply_layer(mut h: Vec<f32>, step: &NetworkLayer) -> Vec<f32> {
+/// Evaluates a network in the precision of its inputs.
+pub fn network_outputs<T: Float>(layers: &[NetworkLayer], inputs: Vec<T>) -> Vec<T> {
+    layers.iter().fold(inputs, apply_layer)
+}
+
+fn apply_layer<T: Float>(mut h: Vec<T>, step: &NetworkLayer) -> Vec<T> {
+    let of = |number: f64| T::from(number).unwrap();
     let each = match step {
         NetworkLayer::Linear(LinearLayer { outputs, weights, biases, .. }) => {
-            let mut sums: Vec<f32> = biases.iter().map(|&bias| bias as f32).collect();
+            let mut sums: Vec<T> = biases.iter().map(|&bias| of(bias)).collect();
             for (value, row) in h.iter().zip(weights.chunks(*outputs)) {
                 for (sum, &weight) in sums.iter_mut().zip(row) {
-                    *sum += value * weight as f32;
+                    *sum = *sum + *value * of(weight);
                 }
             }
             return sums;
@@ -41,16 +48,16 @@ fn apply_layer(mut h: Vec<f32>, step: &NetworkLayer) -> Vec<f32> {
     };
     for (number, x) in h.iter_mut().enumerate() {
         *x = match each {
-            Activation::Relu => x.max(0.0),
-            Activation::LeakyRelu(slope) if *x < 0.0 => *slope as f32 * *x,
-            Activation::Elu(alpha) if *x < 0.0 => *alpha as f32 * x.exp_m1(),
+            Activation::Relu => x.max(T::zero()),
+            Activation::LeakyRelu(slope) if *x < T::zero() => of(*slope) * *x,
+            Activation::Elu(alpha) if *x < T::zero() => of(*alpha) * x.exp_m1(),
             Activation::LeakyRelu(_) | Activation::Elu(_) => *x,
             Activation::Tanh => x.tanh(),
-            Activation::Sigmoid => 1.0 / (1.0 + (-*x).exp()),
-            Activation::Add(operands) => *x + operands[number] as f32,
-            Activation::Multiply(operands) => *x * operands[number] as f32,
-            Activation::Divide(operands) => *x / operands[number] as f32,
-            Activation::Clip { low, high } => x.max(low[number] as f32).min(high[number] as f32),
+            Activation::Sigmoid => T::one() / (T::one() + (-*x).exp()),
+            Activation::Add(operands) => *x + of(operands[number]),
+            Activation::Multiply(operands) => *x * of(operands[number]),
+            Activation::Divide(operands) => *x / of(operands[number]),
+            Activation::Clip { low, high } => x.max(of(low[number])).min(of(high[number])),
         };
     }
     h
@@ -175,37 +182,6 @@ pub fn simulate_with_errors(
         }
     }
     (trace, least)
-}
-
-/// Evaluates layers in double precision: exact to a billionth.
-pub fn network_outputs(steps: &[NetworkLayer], inputs: Vec<f64>) -> Vec<f64> {
-    steps.iter().fold(inputs, |mut h, step| {
-        let each = match step {
-            NetworkLayer::Linear(layer) => {
-                let mut sums = layer.biases.clone();
-                for (value, row) in h.iter().zip(layer.weights.chunks(layer.outputs)) {
-                    sums.iter_mut().zip(row).for_each(|(sum, weight)| *sum += value * weight);
-                }
-                return sums;
-            }
-            NetworkLayer::Activation(each) => each,
-        };
-        for (number, x) in h.iter_mut().enumerate() {
-            *x = match each {
-                Activation::Relu => x.max(0.0),
-                Activation::LeakyRelu(slope) if *x < 0.0 => slope * *x,
-                Activation::Elu(alpha) if *x < 0.0 => alpha * x.exp_m1(),
-                Activation::LeakyRelu(_) | Activation::Elu(_) => *x,
-                Activation::Tanh => x.tanh(),
-                Activation::Sigmoid => 1.0 / (1.0 + (-*x).exp()),
-                Activation::Add(operands) => *x + operands[number],
-                Activation::Multiply(operands) => *x * operands[number],
-                Activation::Divide(operands) => *x / operands[number],
-                Activation::Clip { low, high } => x.max(low[number]).min(high[number]),
-            };
-        }
-        h
-    })
 }
 
 /// A pseudo-random number generator that is equal on all platforms.

@@ -6,7 +6,72 @@ pub mod mutants;
 pub mod networks;
 
 use crumple_verify::*;
+use num_rational::BigRational;
+use num_traits::FromPrimitive;
 use proptest::prelude::*;
+use sha2::{Digest, Sha256};
+
+pub fn rational(value: f64) -> BigRational {
+    BigRational::from_f64(value).unwrap()
+}
+
+/// True if an interval with finite ends contains an exact number.
+pub fn contains(interval: Interval, value: &BigRational) -> bool {
+    rational(interval.low()) <= *value && *value <= rational(interval.high())
+}
+
+pub fn sha256(bytes: impl AsRef<[u8]>) -> String {
+    Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
+}
+
+pub fn policy_bytes(name: &str) -> Vec<u8> {
+    std::fs::read(format!("{}/../corpora/policy/{name}.safetensors", env!("CARGO_MANIFEST_DIR"))).unwrap()
+}
+
+/// Returns a scene in which a leader of 2 m holds its speed, `gap_m` ahead of the only ego vehicle.
+pub fn one_ego_scene(
+    (step_s, steps): (f64, u32),
+    gap_m: f64,
+    [leader_mps, ego_mps]: [f64; 2],
+    [max_brake_mps2, max_accel_mps2]: [f64; 2],
+) -> Scene {
+    let point = Interval::point;
+    Scene {
+        step_s,
+        steps,
+        leader: SceneLeader {
+            position_m: point(gap_m + 2.0),
+            length_m: 2.0,
+            speed_mps: point(leader_mps),
+            acceleration_mps2: vec![ConstantPiece(steps, Interval::ZERO)],
+        },
+        egos: vec![SceneEgo {
+            position_m: Interval::ZERO,
+            length_m: 2.0,
+            speed_mps: point(ego_mps),
+            max_brake_mps2,
+            max_accel_mps2,
+        }],
+        follower: None,
+    }
+}
+
+pub fn follower_at(position_m: f64, speed_mps: f64) -> SceneFollower {
+    SceneFollower {
+        position_m: Interval::point(position_m),
+        speed_mps: Interval::point(speed_mps),
+        brake_mps2: Interval::point(6.0),
+        ttc_s: 1.0,
+        reaction_steps: 0,
+    }
+}
+
+pub fn expand_to_substeps(witness: &[Vec<ConstantPiece<f64>>]) -> Vec<Vec<f64>> {
+    let of = |profile: &Vec<ConstantPiece<f64>>| {
+        profile.iter().flat_map(|held| vec![held.1; held.0 as usize * SUBSTEPS]).collect()
+    };
+    witness.iter().map(of).collect()
+}
 
 /// Substeps in a step. Profiles change between them, so they are more general than any held over steps.
 pub const SUBSTEPS: usize = 6;
@@ -252,6 +317,10 @@ pub fn certificate(statement: Statement) -> Certificate {
     let provenance =
         CertificateProvenance { crumple: "0".into(), scenario: "a test".into(), ..CertificateProvenance::default() };
     Certificate { version: 1, provenance, assumptions: statement.assumptions(), statement }
+}
+
+pub fn reach_certificate(claim: reach::ReachClaim) -> Certificate {
+    certificate(Statement::Reach(claim))
 }
 
 /// Generates scenes with multipliers that often prove them unavoidable: the best of many guesses per firing instant.

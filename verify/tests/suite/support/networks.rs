@@ -189,17 +189,13 @@ fn network_file(controller: &NeuralController, inputs: Vec<Value>) -> Vec<u8> {
                 Activation::Elu(alpha) => json!({ "elu": alpha }),
                 Activation::Tanh => json!("tanh"),
                 Activation::Sigmoid => json!("sigmoid"),
-                Activation::Add(operands) => {
+                Activation::Add(operands) | Activation::Multiply(operands) | Activation::Divide(operands) => {
                     add("operand", &[operands.len()], operands);
-                    json!("add")
-                }
-                Activation::Multiply(operands) => {
-                    add("operand", &[operands.len()], operands);
-                    json!("multiply")
-                }
-                Activation::Divide(operands) => {
-                    add("operand", &[operands.len()], operands);
-                    json!("divide")
+                    match each {
+                        Activation::Add(_) => json!("add"),
+                        Activation::Multiply(_) => json!("multiply"),
+                        _ => json!("divide"),
+                    }
                 }
                 Activation::Clip { low, high } => {
                     add("low", &[low.len()], low);

@@ -21,9 +21,8 @@ fn leaf_values(text: &str) -> Vec<(String, Range<usize>)> {
         match value.get_ref() {
             DeValue::Table(table) => collect_table(path, table, found),
             DeValue::Array(list) => {
-                list.iter()
-                    .enumerate()
-                    .for_each(|(index, value)| collect_value(&format!("{path}[{index}]"), value, found));
+                let values = list.iter().enumerate();
+                values.for_each(|(index, value)| collect_value(&format!("{path}[{index}]"), value, found));
             }
             _ => found.push((path.to_owned(), value.span())),
         }
@@ -105,9 +104,8 @@ fn missing_and_unknown_fields_are_named_with_their_table() {
             let Some(message) = parse_error(&without) else { continue };
             if message.contains("missing field") {
                 // Fields that the top level lacks have no line of their own.
-                let at = header.0 + 1;
                 let place = if table.is_empty() { String::new() } else { format!("{table}: ") };
-                let expected = format!("own.toml:{at}: {place}missing field `{key}`");
+                let expected = format!("own.toml:{}: {place}missing field `{key}`", header.0 + 1);
                 assert_eq!(message, expected, "{preset}");
             }
         }
@@ -139,98 +137,61 @@ fn contradictory_settings_are_named() {
     let all = include_str!("every-field.toml");
     let without_inputs = |line: &&str| !line.contains("{ offset");
     let nothing_seen = fast.lines().filter(without_inputs).collect::<Vec<_>>().join("\n");
-    for (text, from, to, expected) in [
-        (fast, "version = 1", "version = 2", "version: version 2 is not supported"),
-        (fast, "hidden = [64, 64, 64]", "hidden = []", "network.hidden: must have 1 to 16 layers, found 0"),
-        (fast, "hidden = [64, 64, 64]", "hidden = [64, 0]", "network.hidden[1]: must be between 1 and 4096, found 0"),
+    // In the first line that begins with the key, the value is replaced.
+    for (text, key, value, expected) in [
+        (fast, "version", "2", "version: version 2 is not supported"),
+        (fast, "hidden", "[]", "network.hidden: must have 1 to 16 layers, found 0"),
+        (fast, "hidden", "[64, 0]", "network.hidden[1]: must be between 1 and 4096, found 0"),
+        (fast, "capacity", "127", "replay.capacity: holds 127 transitions, less than learning.batch"),
+        (fast, "capacity", "100000000", "replay.capacity: training takes about "),
         (
-            fast,
-            "capacity = 100000",
-            "capacity = 127",
-            "replay.capacity: holds 127 transitions, less than learning.batch",
+            &nothing_seen,
+            "[environment.observation.inputs]",
+            "",
+            "environment.observation.inputs: the observation is empty",
         ),
-        (fast, "capacity = 100000", "capacity = 100000000", "replay.capacity: training takes about "),
-        (&nothing_seen, "limit = 4.0", "limit = 4.0", "environment.observation.inputs: the observation is empty"),
-        (
-            fast,
-            "actor_rate = 1e-4",
-            "actor_rate = 1.3000000001",
-            "learning.actor_rate: must be between 0 and 1, found 1.3000000001",
-        ),
+        (fast, "actor_rate", "1.3000000001", "learning.actor_rate: must be between 0 and 1, found 1.3000000001"),
         // Values that would silently become 0 or have no effect.
-        (
-            fast,
-            "actor_rate = 1e-4",
-            "actor_rate = 1e-50",
-            "learning.actor_rate: 1e-50 is so small that it would count as 0",
-        ),
-        (
-            all,
-            "smoothness_penalty = 10.0",
-            "smoothness_penalty = 1e-50",
-            "learning.smoothness_penalty: 1e-50 is so small that it would count as 0",
-        ),
-        (
-            all,
-            "smoothness_penalty = 10.0",
-            "smoothness_penalty = 1e-20",
-            "learning.smoothness_penalty: must be 0, for none, or",
-        ),
-        (
-            fast,
-            "saturation_penalty = 1",
-            "saturation_penalty = 1e-7 # 1",
-            "learning.saturation_penalty: must be 0, for none, or",
-        ),
+        (fast, "actor_rate", "1e-50", "learning.actor_rate: 1e-50 is so small that it would count as 0"),
+        (all, "smoothness_penalty", "1e-50", "learning.smoothness_penalty: 1e-50 is so small that it would count as 0"),
+        (all, "smoothness_penalty", "1e-20", "learning.smoothness_penalty: must be 0, for none, or"),
+        (fast, "saturation_penalty", "1e-7", "learning.saturation_penalty: must be 0, for none, or"),
         (
             road,
-            "limit = 6.0",
-            "history_every = 5\nlimit = 6.0",
+            "empty_gap_m",
+            "100.0\nhistory_every = 5",
             "environment.observation.history_every: is the interval between past decisions",
         ),
         (
             all,
-            "rates_fall = { until_episode = 1000",
-            "rates_fall = { until_episode = 200",
+            "rates_fall",
+            "{ until_episode = 200, to_share = 0.1 }",
             "learning.rates_fall.until_episode: must be above exploration.random_episodes",
         ),
-        (road, "space = \"high-risk\"", "space = \"traffic\"", "spaces[1].space: `traffic` is named twice"),
-        (
-            road,
-            "time_headway_s = 1.3",
-            "time_headway_s = -1.3",
-            "environment.departs_from.idm.time_headway_s: must be between",
-        ),
-        (
-            road,
-            "idm = { time",
-            "idm = { haste = 1.0, time",
-            "environment.departs_from.idm.haste: unknown field `haste`",
-        ),
+        (road, "space = \"high-risk\"", "\"traffic\"", "spaces[1].space: `traffic` is named twice"),
+        (road, "idm", "{ time_headway_s = -1.3 }", "environment.departs_from.idm.time_headway_s: must be between"),
+        (road, "idm", "{ haste = 1.0 }", "environment.departs_from.idm.haste: unknown field `haste`"),
     ] {
-        let message = parse_error(&text.replacen(from, to, 1)).expect(to);
-        let (_, rest) = message.split_once(": ").unwrap();
-        assert!(rest.starts_with(expected), "{message}");
-        let line =
-            if expected.contains("the observation is empty") { "[environment.observation.inputs]" } else { from };
-        let at = text.lines().position(|found| found.contains(line)).unwrap() + 1;
-        assert!(message.starts_with(&format!("own.toml:{at}: ")), "{message}, line {at}");
+        let at = text.lines().position(|line| line.starts_with(key)).unwrap();
+        let changed = text.lines().enumerate().map(|(index, line)| match line.split_once(" = ") {
+            Some((name, _)) if index == at => format!("{name} = {value}"),
+            _ => line.to_owned(),
+        });
+        let message = parse_error(&changed.collect::<Vec<_>>().join("\n")).expect(value);
+        let line = at + 1 + value.matches('\n').count();
+        assert!(message.starts_with(&format!("own.toml:{line}: {expected}")), "{message}, line {line}");
     }
 }
 
 /// A space file is read only when it is drawn from; the error still has the line that names it.
 #[test]
 fn spaces_that_cannot_be_drawn_from_have_the_line_that_names_them() {
-    let text = format!(
-        "{}\n[[spaces]]\nspace = \"steady\"\nweight = 1\n[[spaces]]\nweight = 1\nspace = \"nowhere\"\n",
-        PRESETS[0].1
-    );
+    let spaces = "[[spaces]]\nspace = \"steady\"\nweight = 1\n[[spaces]]\nweight = 1\nspace = \"nowhere\"\n";
+    let text = format!("{}\n{spaces}", PRESETS[0].1);
     let path = Path::new("own.toml");
     let config = TrainingConfig::parse(&text, path).unwrap();
     let message = config.scenario_source().unwrap_err().with_location(&text, path).to_string();
     let line = text.lines().count();
-    assert!(
-        message.starts_with(&format!("own.toml:{line}: spaces[1].space: `nowhere` is neither a built-in space")),
-        "{message}"
-    );
+    let expected = format!("own.toml:{line}: spaces[1].space: `nowhere` is neither a built-in space");
+    assert!(message.starts_with(&expected), "{message}");
 }

@@ -5,6 +5,7 @@ use std::sync::{Arc, Mutex};
 use crate::rl::*;
 use crumple_core::observer::{Listener, Quiet};
 use crumple_store::program::{OTHER_BUILD_MESSAGE, identity};
+use crumple_world::scenario::built_in_scenario;
 
 /// Returns a training that takes a second.
 fn small_config() -> TrainingConfig {
@@ -62,10 +63,8 @@ fn checkpoints_of_another_training_are_refused() {
     let mut other = config.clone();
     other.learning.batch = 17;
     for (config, seed) in [(&config, 2), (&other, 1)] {
-        assert!(matches!(
-            Trainer::from_checkpoint(&bytes, config, seed, Arc::new(PaperSource)),
-            Err(TrainingError::Checkpoint(_))
-        ));
+        let refused = Trainer::from_checkpoint(&bytes, config, seed, Arc::new(PaperSource));
+        assert!(matches!(refused, Err(TrainingError::Checkpoint(_))));
     }
     assert!(Trainer::from_checkpoint(&bytes[..bytes.len() / 2], &config, 1, Arc::new(PaperSource)).is_err());
     let says = |bytes: &[u8], words: &str| {
@@ -92,21 +91,15 @@ fn checkpoints_of_another_training_are_refused() {
 fn trainings_on_different_scenarios_are_distinguished() {
     let config = small_config();
     let source = |name| -> Arc<dyn ScenarioSource> {
-        Arc::new(CaseMixture::new(
-            vec![crumple_world::scenario::built_in_scenario(name).unwrap()],
-            0.5,
-            Arc::new(PaperSource),
-        ))
+        Arc::new(CaseMixture::new(vec![built_in_scenario(name).unwrap()], 0.5, Arc::new(PaperSource)))
     };
     let mut trainer = Trainer::with_source(&config, 1, source("paper-1"));
     trainer.run_episode().unwrap();
     assert!(trainer.policy().unwrap().header().training["scenarios"].as_str().unwrap().contains("0.5 of 1 cases"));
     let bytes = trainer.to_checkpoint().unwrap();
     assert!(Trainer::from_checkpoint(&bytes, &config, 1, source("paper-1")).is_ok());
-    for refused in [
-        Trainer::from_checkpoint(&bytes, &config, 1, Arc::new(PaperSource)),
-        Trainer::from_checkpoint(&bytes, &config, 1, source("paper-2")),
-    ] {
+    for other in [source("paper-2"), Arc::new(PaperSource)] {
+        let refused = Trainer::from_checkpoint(&bytes, &config, 1, other);
         assert!(refused.err().unwrap().to_string().contains("it belongs to a training on a share of 0.5"));
     }
     let mut unsuited = Trainer::with_source(&config, 1, source("paper-3"));
@@ -199,7 +192,7 @@ fn divergence_is_detected_on_the_training_scenarios() {
 fn the_reference_policy_survives_the_papers_scenarios_and_unseen_draws() {
     use crumple_world::observation::EstimatorKind;
     use crumple_world::policy::Policy;
-    use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario};
+    use crumple_world::scenario::{PaperDistribution, Scenario};
     use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate_batch};
 
     let policy = Policy::reference();

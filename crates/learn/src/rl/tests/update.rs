@@ -7,42 +7,9 @@ use crate::rl::*;
 use crumple_world::policy::STATE_LEN;
 use crumple_world::random::{Purpose, Stream, stream};
 
-const STATE_WIDTH: usize = 2 * STATE_LEN;
+mod fixture;
 
-fn config(hidden: &[usize]) -> TrainingConfig {
-    let mut config = TrainingConfig::preset("fast").unwrap();
-    config.network.hidden = hidden.to_vec();
-    // Large output weights keep every gradient well above rounding.
-    config.network.final_layer_bound = 1.0;
-    config.environment.observation.history = 2;
-    config.learning.privileged_critic = true;
-    config.learning.smoothness_penalty = 0.7;
-    config
-}
-
-fn learner(config: &TrainingConfig, seed: u64) -> Learner {
-    Learner::new(config, seed)
-}
-
-fn batch(seed: u64, count: usize) -> Batch {
-    let mut stream = Stream::seed_from_u64(seed);
-    let mut batch = Batch::default();
-    for _ in 0..count {
-        let mut numbers = |count| -> Vec<f32> { (0..count).map(|_| stream.random_range(-1.5..1.5)).collect() };
-        let (state, next_state, privileged) =
-            (numbers(STATE_WIDTH), numbers(STATE_WIDTH), numbers(2 * PRIVILEGED_WIDTH));
-        batch.push(&Transition {
-            state: &state,
-            next_state: &next_state,
-            privileged: &privileged,
-            action: stream.random_range(-1.0..1.0),
-            reward: stream.random_range(-2.0..1.0),
-            continues: stream.random_bool(0.8),
-            contact: false,
-        });
-    }
-    batch
-}
+use fixture::{OBSERVATION_SIZE, batch, config};
 
 /// Returns the output of a network in double precision, from the definition.
 fn forward(sizes: &[usize], parameters: &[f64], input: &[f64]) -> f64 {
@@ -66,7 +33,7 @@ fn to_f64(values: &[f32]) -> Vec<f64> {
 }
 
 fn rows(values: &[f32]) -> impl Iterator<Item = Vec<f64>> {
-    values.chunks_exact(STATE_WIDTH).map(to_f64)
+    values.chunks_exact(OBSERVATION_SIZE).map(to_f64)
 }
 
 fn central_differences(parameters: &[f64], loss: impl Fn(&[f64]) -> f64) -> Vec<f64> {
@@ -94,12 +61,12 @@ fn assert_close(found: &[f32], expected: &[f64], tolerance: f64) {
 #[test]
 fn gradients_agree_with_finite_differences_in_double_precision() {
     let config = config(&[12, 7]);
-    let mut learner = learner(&config, 3);
+    let mut learner = Learner::new(&config, 3);
     // Two updates separate networks and targets.
     for seed in 0..2 {
-        learner.update(&batch(seed, 16), &mut stream(0, Purpose::TargetNoise, 0));
+        learner.update(&batch(seed, 16, PRIVILEGED_WIDTH), &mut stream(0, Purpose::TargetNoise, 0));
     }
-    let batch = batch(9, 24);
+    let batch = batch(9, 24, PRIVILEGED_WIDTH);
     let (critics_found, actor_found) = learner.gradients(&batch, &mut stream(0, Purpose::TargetNoise, 0));
     let critic = &learner.critics[0];
     let (actor_sizes, critic_sizes) = (learner.actor.network.sizes(), critic.network.sizes());
@@ -157,7 +124,7 @@ fn the_optimum_of_a_two_state_problem_is_found() {
         if td3 {
             config.td3 = Td3Config { twin_critic: true, actor_every: 2, target_noise: 0.05, target_noise_limit: 0.1 };
         }
-        let mut learner = learner(&config, 4);
+        let mut learner = Learner::new(&config, 4);
         let mut test_cases = Stream::seed_from_u64(5);
         let mut noise = stream(4, Purpose::TargetNoise, 0);
         let state = |sign: f32| -> [f32; STATE_LEN] { std::array::from_fn(|i| if i == 0 { sign } else { 0.0 }) };
@@ -192,10 +159,10 @@ fn the_optimum_of_a_two_state_problem_is_found() {
 /// Updates of wide networks use several threads.
 #[test]
 fn an_update_is_the_same_on_any_number_of_threads() {
-    let (config, batch) = (config(&[192, 224]), batch(1, 400));
+    let (config, batch) = (config(&[192, 224]), batch(1, 400, PRIVILEGED_WIDTH));
     let networks = |threads| {
         let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-        let (mut learner, mut noise) = (learner(&config, 2), stream(2, Purpose::TargetNoise, 0));
+        let (mut learner, mut noise) = (Learner::new(&config, 2), stream(2, Purpose::TargetNoise, 0));
         pool.install(|| (0..5).for_each(|_| _ = learner.update(&batch, &mut noise)));
         learner.networks().cloned().collect::<Vec<_>>()
     };

@@ -1,7 +1,5 @@
 //! All evidence of an assessment, and the resulting status of claims.
 
-use std::cmp::Ordering;
-
 use serde::{Deserialize, Serialize};
 
 use super::{AssuranceClaim, Domain, Evidence, InferenceRule, Property, Strength};
@@ -147,11 +145,13 @@ impl Ledger {
     /// level, so parameters fixed before counting decide: confidence level as shown, then runs. Ties go to the least
     /// favourable.
     fn deciding_count(&self, readings: &[SecondaryEvidence]) -> Option<usize> {
-        let counts = readings.iter().filter(|one| one.is_counted()).filter_map(|one| {
-            let fixed = CountPriority::from_strength(&self.evidence.get(one.evidence)?.strength)?;
-            Some((one.evidence, fixed))
+        let counts = readings.iter().filter(|one| one.is_counted());
+        let counts =
+            counts.filter_map(|one| Some((one.evidence, count_priority(&self.evidence.get(one.evidence)?.strength)?)));
+        let strongest = counts.max_by(|(_, (confidence, runs, against)), (_, other)| {
+            confidence.total_cmp(&other.0).then(runs.cmp(&other.1)).then(against.total_cmp(&other.2))
         });
-        counts.max_by(|(_, a), (_, b)| a.compare(b)).map(|(place, _)| place)
+        strongest.map(|(place, _)| place)
     }
 
     fn combine_partial_proofs(&self, claim: &AssuranceClaim) -> Option<(Strength, Vec<usize>)> {
@@ -172,27 +172,15 @@ impl Ledger {
     }
 }
 
-struct CountPriority {
-    confidence_percent: f64,
-    runs: u64,
-    against_percent: f64,
-}
-
-impl CountPriority {
-    fn from_strength(strength: &Strength) -> Option<Self> {
-        let (confidence_percent, runs, against_percent) = match *strength {
-            Strength::Between { upper_percent, confidence_percent, runs, .. } => {
-                (confidence_percent, runs, upper_percent.value())
-            }
-            Strength::Counted { confidence_percent, runs } => (confidence_percent, runs, 0.0),
-            Strength::NotShownByCounting { confidence_percent, runs } => (confidence_percent, runs, 100.0),
-            _ => return None,
-        };
-        Some(Self { confidence_percent: confidence_percent.value(), runs, against_percent })
-    }
-
-    fn compare(&self, other: &Self) -> Ordering {
-        let confidence = self.confidence_percent.total_cmp(&other.confidence_percent);
-        confidence.then(self.runs.cmp(&other.runs)).then(self.against_percent.total_cmp(&other.against_percent))
-    }
+/// Returns confidence level and runs of a count, and the percentage that it shows against the claim.
+fn count_priority(strength: &Strength) -> Option<(f64, u64, f64)> {
+    let (confidence_percent, runs, against_percent) = match *strength {
+        Strength::Between { upper_percent, confidence_percent, runs, .. } => {
+            (confidence_percent, runs, upper_percent.value())
+        }
+        Strength::Counted { confidence_percent, runs } => (confidence_percent, runs, 0.0),
+        Strength::NotShownByCounting { confidence_percent, runs } => (confidence_percent, runs, 100.0),
+        _ => return None,
+    };
+    Some((confidence_percent.value(), runs, against_percent))
 }

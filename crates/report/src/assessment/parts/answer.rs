@@ -86,14 +86,15 @@ impl FirstPage {
         });
         let against: Vec<String> =
             against.into_iter().map(|(words, claim, status)| describe_refutation(words, claim, status)).collect();
-        let speaks_for: Vec<String> = chosen(&|status| {
+        let speaks_for = chosen(&|status| {
             status.strength.is_assurance()
                 || matches!(status.strength, Strength::Tested { .. } | Strength::PartlyProved { .. })
-        })
-        .into_iter()
-        .map(|(words, _, status)| format!("{words}: {}", status.strength.describe()))
-        .collect();
+        });
+        let describe = |(words, _, status): (&str, _, &ClaimStatus)| format!("{words}: {}", status.strength.describe());
+        let speaks_for = speaks_for.into_iter().map(describe).collect();
         let answer = SafetyAnswer::new(plan, &claims);
+        let comparison = describe_comparison(plan, &claims);
+        let answer_text = format!("{} {comparison}", answer.describe(plan, subject, &claims, &against));
         let compared = match plan.controllers.first() {
             Some(first) if plan.subject_index != 0 => format!(", and is it safer than `{}`", first.name),
             _ => String::new(),
@@ -105,13 +106,7 @@ impl FirstPage {
         Self {
             question,
             answer,
-            answer_text: format!(
-                "{} {}",
-                answer.describe(plan, subject, &claims, &against),
-                describe_comparison(plan, &claims)
-            )
-            .trim_end()
-            .to_owned(),
+            answer_text: answer_text.trim_end().to_owned(),
             against,
             speaks_for,
             assumed: limits.assumptions.iter().map(|limit| limit.assumed).collect(),
@@ -133,13 +128,11 @@ fn describe_comparison(plan: &AssessmentPlan, claims: &[(&str, &AssuranceClaim, 
     let spaces: Vec<_> = shown.iter().map(|claim| claim.describe_domain()).collect();
     match spaces.as_slice() {
         [] => format!("It is not shown to fail less often than `{}`.", first.name),
-        spaces => {
-            format!(
-                "A certificate shows that it fails less often than `{}` {}; for other domains this is not shown.",
-                first.name,
-                spaces.join(" and ")
-            )
-        }
+        spaces => format!(
+            "A certificate shows that it fails less often than `{}` {}; for other domains this is not shown.",
+            first.name,
+            spaces.join(" and ")
+        ),
     }
 }
 

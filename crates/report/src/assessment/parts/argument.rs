@@ -228,13 +228,9 @@ impl Argument {
                 Some(Proposition { row, claim, status })
             })
             .collect();
-        let top = building.add(
-            GsnElementKind::Goal,
-            format!(
-                "{subject}, {}, avoids collisions in the domains of this report",
-                describe_estimator(plan.config.estimator)
-            ),
-        );
+        let estimator = describe_estimator(plan.config.estimator);
+        let goal = format!("{subject}, {estimator}, avoids collisions in the domains of this report");
+        let top = building.add(GsnElementKind::Goal, goal);
         let over = building.add(GsnElementKind::Strategy, "over collisions, failure rates and usefulness");
         building.add_support(&top, over.clone());
         let mut around = vec![building.add(
@@ -344,11 +340,8 @@ impl Argument {
         };
         let evidence = self.evidence_of(goal).map_or_else(String::new, |solution| format!(": {}", solution.text));
         let words = format!(" {sign}{}{evidence}", goal.text);
-        entries.push((
-            depth,
-            Inline::strong(&goal.id).and_prose(&words),
-            html! { b { (goal.id) } (prose_to_html(&words)) },
-        ));
+        let html = html! { b { (goal.id) } (prose_to_html(&words)) };
+        entries.push((depth, Inline::strong(&goal.id).and_prose(&words), html));
         for next in self.goals_below(goal) {
             self.push_outline(next, depth + 1, entries);
         }

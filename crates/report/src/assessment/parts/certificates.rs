@@ -5,6 +5,7 @@ use crumple_verify::{Assumption, Certificate, ProvedClaim, RateClaim, ReachClaim
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
+use super::rate_certificates::planned_rate_counts;
 use crate::assessment::claims::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, MIN_CONFIDENCE_PERCENT, Property, Strength, Subject,
 };
@@ -144,30 +145,27 @@ impl CertificateStatus {
 }
 
 fn accepted_strength(accepted: &ProvedClaim, statement: &Statement, counts_others: bool) -> Option<Strength> {
-    match accepted {
-        ProvedClaim::Rate { max_rate: at_most, .. } => match statement {
-            Statement::Rate(rate) => Some(rate_strength(rate, *at_most, counts_others)),
-            _ => None,
-        },
+    match (accepted, statement) {
+        (ProvedClaim::Rate { max_rate, .. }, Statement::Rate(rate)) => {
+            Some(rate_strength(rate, *max_rate, counts_others))
+        }
         // Below the minimum confidence level it shows nothing.
-        ProvedClaim::FailsLessOften { confidence } => Some(Rounded::down(100.0 * confidence))
-            .filter(|percent| percent.value() >= MIN_CONFIDENCE_PERCENT)
-            .and_then(|confidence_percent| match statement {
-                Statement::Comparison(two) => {
-                    Some(Strength::Counted { confidence_percent, runs: two.registration.runs })
-                }
-                _ => None,
-            }),
+        (ProvedClaim::FailsLessOften { confidence }, Statement::Comparison(two)) => {
+            let confidence_percent = Rounded::down(100.0 * confidence);
+            (confidence_percent.value() >= MIN_CONFIDENCE_PERCENT)
+                .then_some(Strength::Counted { confidence_percent, runs: two.registration.runs })
+        }
         // The certificate contains an initial state that ends in a collision.
-        ProvedClaim::Reach { falsified_share, .. } if *falsified_share > 0.0 => {
+        (ProvedClaim::Reach { falsified_share, .. }, _) if *falsified_share > 0.0 => {
             Some(Strength::Refuted { failures: 1, runs: 1 })
         }
-        ProvedClaim::Reach { verified_share, .. } if *verified_share >= 1.0 => {
+        (ProvedClaim::Reach { verified_share, .. }, _) if *verified_share >= 1.0 => {
             Some(Strength::Proved { certificates: 1 })
         }
-        ProvedClaim::Reach { verified_share, .. } => Some(Rounded::down(100.0 * verified_share))
-            .filter(|percent| percent.value() > 0.0)
-            .map(|share_percent| Strength::PartlyProved { share_percent }),
+        (ProvedClaim::Reach { verified_share, .. }, _) => {
+            let share_percent = Rounded::down(100.0 * verified_share);
+            (share_percent.value() > 0.0).then_some(Strength::PartlyProved { share_percent })
+        }
         _ => None,
     }
 }
@@ -177,10 +175,9 @@ fn accepted_strength(accepted: &ProvedClaim, statement: &Statement, counts_other
 pub(super) fn rate_strength(rate: &RateClaim, at_most: f64, counts_others: bool) -> Strength {
     let Registration { runs, confidence, .. } = rate.registration;
     let failures = if counts_others { 0 } else { rate.failures };
+    let interval = RateInterval::clopper_pearson(failures, runs, 2.0 * confidence - 1.0);
     Strength::Between {
-        lower_percent: Rounded::down(
-            100.0 * RateInterval::clopper_pearson(failures, runs, 2.0 * confidence - 1.0).lower,
-        ),
+        lower_percent: Rounded::down(100.0 * interval.lower),
         upper_percent: Rounded::up(100.0 * at_most),
         confidence_percent: Rounded::down(100.0 * confidence),
         runs,
@@ -232,28 +229,20 @@ fn describe_accepted(accepted: &ProvedClaim) -> String {
         }
         // Without a verified part, no gap is bounded.
         ProvedClaim::Reach { verified_share, falsified_share, .. } if *verified_share <= 0.0 => {
-            let falsified = match down(100.0 * falsified_share) {
-                share if share > 0.0 => {
-                    format!("; {share:.2} % of its volume is in cells with an initial state that ends in a collision")
-                }
-                _ => String::new(),
+            let share = down(100.0 * falsified_share);
+            let falsified = if share > 0.0 {
+                format!("; {share:.2} % of its volume is in cells with an initial state that ends in a collision")
+            } else {
+                String::new()
             };
             format!("no part of the box is verified, so no gap is bounded{falsified}")
         }
-        ProvedClaim::Reach {
-            verified_share,
-            min_gap_m: smallest_gap_m,
-            horizon_s,
-            leader_brakes_at_most_mps2: limit,
-            ..
-        } => {
-            format!(
-                "{:.2} % of the box: no collision, every gap at least {:.2} m, for {horizon_s} s{}",
-                down(100.0 * verified_share),
-                down(*smallest_gap_m),
-                limit.map_or_else(String::new, |limit| format!(", for any braking of the leader up to {limit} m/s²"))
-            )
-        }
+        ProvedClaim::Reach { verified_share, min_gap_m, horizon_s, leader_brakes_at_most_mps2: limit, .. } => format!(
+            "{:.2} % of the box: no collision, every gap at least {:.2} m, for {horizon_s} s{}",
+            down(100.0 * verified_share),
+            down(*min_gap_m),
+            limit.map_or_else(String::new, |limit| format!(", for any braking of the leader up to {limit} m/s²"))
+        ),
         ProvedClaim::GapBound { gap_m, horizon_s } => format!(
             "for every driver some gap becomes {:.2} m or less within {horizon_s} s",
             (100.0 * gap_m).ceil() / 100.0
@@ -269,19 +258,20 @@ fn describe_accepted(accepted: &ProvedClaim) -> String {
 /// Returns the certificates of kernels, of `scenes`, of rates of the learned controllers, of the comparison, and the
 /// given ones.
 pub(super) fn gather_certificates<'a>(
-    plan: &AssessmentPlan,
     work: &GatherContext<'_>,
     scenes: impl Iterator<Item = (&'a str, &'a Certificate)>,
 ) -> Result<Vec<CheckedCertificate>, AssessError> {
-    let mut proofs = shipped_kernels()
-        .into_iter()
-        .map(|(name, certificate)| check_certificate(plan, name, &certificate, None))
-        .collect::<Result<Vec<_>, _>>()?;
-    let scenes = scenes.map(|(scenario, certificate)| {
-        check_certificate(plan, format!("scene-{}", file_stem(scenario)), certificate, None)
-    });
-    proofs.extend(scenes.collect::<Result<Vec<_>, _>>()?);
-    proofs.extend(super::rate_certificates::gather_rate_certificates(plan, work)?);
+    let plan = work.plan;
+    let mut proofs = Vec::new();
+    for (name, certificate) in shipped_kernels() {
+        proofs.push(check_certificate(plan, name, &certificate, None)?);
+    }
+    for (scenario, certificate) in scenes {
+        proofs.push(check_certificate(plan, format!("scene-{}", file_stem(scenario)), certificate, None)?);
+    }
+    for counted in planned_rate_counts(plan) {
+        proofs.push(counted.gather(work)?);
+    }
     let given = plan.certificates.par_iter();
     let given = given.map(|one| check_certificate(plan, one.name.clone(), &one.certificate, one.policy.as_deref()));
     proofs.extend(given.collect::<Result<Vec<_>, _>>()?);
@@ -295,17 +285,15 @@ pub(super) fn check_certificate(
     policy: Option<&[u8]>,
 ) -> Result<CheckedCertificate, AssessError> {
     let text = serde_json::to_string_pretty(certificate).map_err(CacheError::encoding)? + "\n";
-    let sha256 = sha256(&text);
     let counts_others = includes_others(plan, &certificate.statement);
-    // Checked in every run, never cached: checking is cheap, and cached results could have been edited.
-    let status = CertificateStatus::check(certificate, policy, counts_others);
     Ok(CheckedCertificate {
         statement: certificate.statement.name(),
         about: describe_statement(plan, &name, certificate, policy),
         file: format!("certificates/{name}.json"),
-        sha256,
+        sha256: sha256(&text),
         subject: certificate_subject(plan, &name, certificate, policy),
-        status,
+        // Checked in every run, never cached: checking is cheap, and cached results could have been edited.
+        status: CertificateStatus::check(certificate, policy, counts_others),
         assumptions: certificate.assumptions.clone(),
         rate: match &certificate.statement {
             Statement::Rate(rate) if !counts_others => Some(rate.clone()),

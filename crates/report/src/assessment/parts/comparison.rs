@@ -69,7 +69,7 @@ pub enum ComparisonError {
         /// Error of the system.
         source: io::Error,
     },
-    /// The file is no evidence of an assessment.
+    /// The file is not an `assessment.json`.
     #[error("{}:{line}: {problem}", path.display())]
     Syntax {
         /// Path of the file.
@@ -203,10 +203,8 @@ impl EvidenceView {
                 // An untried claim is absent: neither better nor worse.
                 if strength != Strength::Untried {
                     let is_failure = strength.is_refutation();
-                    facts.insert(
-                        (what, domain),
-                        Fact { score: score(&strength), description: strength.describe(), is_failure },
-                    );
+                    let (score, description) = (score(&strength), strength.describe());
+                    facts.insert((what, domain), Fact { score, description, is_failure });
                 }
             }
         }
@@ -293,7 +291,7 @@ impl EarlierAssessment {
         let syntax = |error: serde_json::Error| ComparisonError::Syntax {
             path: path.to_owned(),
             line: error.line(),
-            problem: format!("the file is no evidence of an assessment (assessment.json): {error}"),
+            problem: format!("not an assessment.json: {error}"),
         };
         let Versioned { version } = serde_json::from_str(text).map_err(syntax)?;
         if version != EVIDENCE_VERSION {
@@ -382,12 +380,8 @@ impl AssessmentComparison {
         ] {
             for change in changes {
                 let kind = judged.map_or_else(|| ReportCell::text(kind), |good| ReportCell::with_verdict(kind, good));
-                table.push_row(vec![
-                    kind,
-                    ReportCell::text(&change.description),
-                    dash(&change.before),
-                    dash(&change.now),
-                ]);
+                let result = ReportCell::text(&change.description);
+                table.push_row(vec![kind, result, dash(&change.before), dash(&change.now)]);
             }
         }
         table

@@ -1,10 +1,10 @@
 //! Failures per hour and per 1000 km, in spaces fitted to recorded episodes.
 
 use super::sampling::{SpaceSample, run_samples};
+use crate::assessment::AssessError;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::NamedSpace;
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessError, AssessmentPlan};
 use crumple_core::digits::format_rounded;
 use crumple_evidence::exposure::{
     FailureProbability, IntervalEstimate, RatePerExposure, WithDataUncertainty, count_on_resamples,
@@ -80,12 +80,12 @@ pub(super) fn exposure_table(drawn: &SpaceSample) -> Option<(String, ReportTable
 }
 
 pub(super) fn rate_per_exposure(
-    plan: &AssessmentPlan,
     named: &NamedSpace,
     controller: &NamedController,
     known: FailureProbability<'_>,
     work: &GatherContext<'_>,
 ) -> Result<Option<RatePerExposure>, AssessError> {
+    let plan = work.plan;
     if named.space.spec().exposure.is_none() {
         return Ok(None);
     }

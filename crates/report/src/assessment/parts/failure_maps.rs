@@ -58,10 +58,8 @@ pub struct FailureMap {
 }
 
 impl FailureMaps {
-    pub(in crate::assessment) fn gather(
-        plan: &AssessmentPlan,
-        work: &GatherContext<'_>,
-    ) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+        let plan = work.plan;
         if !plan.config.paper {
             return Ok(None);
         }
@@ -90,16 +88,11 @@ impl FailureMaps {
         let fates: Vec<MapCell> =
             scenarios.par_iter().zip(&survived).map(|(s, &survived)| classify_cell(s, survived)).collect();
 
-        let of = |(controller, touched): (&NamedController, &Vec<bool>)| FailureMap {
-            controller: controller.name.clone(),
-            rows: touched
-                .iter()
-                .zip(&fates)
-                .map(|(&touched, &fate)| if touched { fate } else { MapCell::NoContact })
-                .collect::<Vec<_>>()
-                .chunks(cells.0)
-                .map(|row| MapRow(row.to_vec()))
-                .collect(),
+        let of = |(controller, touched): (&NamedController, &Vec<bool>)| {
+            let cell = |(&touched, &fate)| if touched { fate } else { MapCell::NoContact };
+            let drawn: Vec<MapCell> = touched.iter().zip(&fates).map(cell).collect();
+            let rows = drawn.chunks(cells.0).map(|row| MapRow(row.to_vec())).collect();
+            FailureMap { controller: controller.name.clone(), rows }
         };
         let first = plan.controllers.first().map(|controller| controller.name.as_str());
         let shown = plan.controllers.iter().zip(&touched);

@@ -18,10 +18,7 @@ pub(super) fn draw_responsive(maps: &FailureMaps) -> Markup {
         3 => 3,
         _ => 2,
     };
-    html! {
-        div.draw-wide { (draw(maps, "maps-wide", 960.0, columns)) }
-        div.draw-narrow { (draw(maps, "maps-narrow", 360.0, 1)) }
-    }
+    draw::responsive(&draw(maps, "maps-wide", 960.0, columns), &draw(maps, "maps-narrow", 360.0, 1))
 }
 
 fn draw(maps: &FailureMaps, prefix: &str, width: f64, columns: usize) -> Svg {
@@ -36,14 +33,8 @@ fn draw(maps: &FailureMaps, prefix: &str, width: f64, columns: usize) -> Svg {
         let frame = PixelRect { left, top, width: plot.0, height: plot.1 };
         let (x, y) = (parameter_axis(&maps.across, &maps.across.title), parameter_axis(&maps.up, ""));
         let mut panel = Panel::new(frame, &map.controller, x, y);
-        panel.add_overlay(draw_text(
-            (left - LEFT_MARGIN, top - 8.0),
-            Anchor::Start,
-            &maps.up.title,
-            SMALL_TEXT_SIZE,
-            Ink::Muted,
-            false,
-        ));
+        let above = (left - LEFT_MARGIN, top - 8.0);
+        panel.add_overlay(draw_text(above, Anchor::Start, &maps.up.title, SMALL_TEXT_SIZE, Ink::Muted, false));
         panel.add_overlay(draw_map_cells(map, frame));
         panel.draw(&Svg::id(prefix, &map.controller))
     };

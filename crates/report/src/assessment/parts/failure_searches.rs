@@ -86,14 +86,12 @@ pub struct FailureSearch {
 }
 
 impl FailureSearches {
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Self, AssessError> {
-        let pairs: Vec<_> = plan
-            .search_spaces
-            .iter()
-            .flat_map(|space| plan.controllers.iter().enumerate().map(move |one| (space, one)))
-            .collect();
-        let found =
-            pairs.into_par_iter().map(|(space, controller)| FailureSearch::gather(plan, space, controller, work));
+    pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Self, AssessError> {
+        let plan = work.plan;
+        let controllers = || plan.controllers.iter().enumerate();
+        let pairs: Vec<_> =
+            plan.search_spaces.iter().flat_map(|space| controllers().map(move |one| (space, one))).collect();
+        let found = pairs.into_par_iter().map(|(space, controller)| FailureSearch::gather(space, controller, work));
         let mut found = found.collect::<Result<Vec<_>, _>>()?.into_iter();
         let spaces = plan.search_spaces.iter().map(|named| SpaceSearches {
             name: named.name.clone(),
@@ -128,30 +126,22 @@ impl FailureSearches {
             .iter()
             .flat_map(|space| plan.claim_subjects().into_iter().zip(&space.controllers).map(move |pair| (space, pair)));
         let of = |(space, (subject, search)): (&SpaceSearches, (Subject, &FailureSearch))| {
+            let (runs, unanswered) = (search.conclusive_evaluations(), search.unanswered());
             let strength = match search.distinct_count() {
-                0 => Strength::from_counts(
-                    search.methods.iter().map(|reached| reached.failures).sum(),
-                    search.conclusive_evaluations(),
-                ),
+                0 => Strength::from_counts(search.methods.iter().map(|reached| reached.failures).sum(), runs),
                 // No collision was found, only failures to answer.
-                failures if failures == search.unanswered_failures().count() => Strength::from_counts_with_unanswered(
-                    0,
-                    search.conclusive_evaluations(),
-                    search.unanswered().as_ref(),
-                    true,
-                ),
+                failures if failures == search.unanswered_failures().count() => {
+                    Strength::from_counts_with_unanswered(0, runs, unanswered.as_ref(), true)
+                }
                 failures => Strength::Falsified {
                     failures,
                     avoidable: search.count(AvoidabilityClass::Avoidable),
-                    reason: search.unanswered().map(|unanswered| unanswered.because),
+                    reason: unanswered.map(|unanswered| unanswered.because),
                 },
             };
             let claim = AssuranceClaim { subject, property: Property::NoContact, domain: space.domain(plan) };
-            Evidence {
-                claim,
-                strength,
-                source: EvidenceSource::from_part("search", format!("{} simulations", search.evaluations())),
-            }
+            let source = EvidenceSource::from_part("search", format!("{} simulations", search.evaluations()));
+            Evidence { claim, strength, source }
         };
         all.map(of).collect()
     }
@@ -198,11 +188,11 @@ impl SpaceSearches {
 
 impl FailureSearch {
     pub(in crate::assessment) fn gather(
-        plan: &AssessmentPlan,
         named: &NamedSpace,
         (index, controller): (usize, &NamedController),
         work: &GatherContext<'_>,
     ) -> Result<Self, AssessError> {
+        let plan = work.plan;
         let space = &named.space;
         let campaign = Campaign {
             estimator: plan.config.estimator,
@@ -244,11 +234,8 @@ impl FailureSearch {
                 ["falsify", "--controller", word, "--space", &named.to_arg(), "--budget", &budget, "--seed", &seed];
             CrumpleCommand::new(what).with_args(["--out", &out]).with_args(seeing.clone())
         });
-        let drawn = if is_main_controller(plan, index, controller) {
-            simulate_failures(plan, controller, &failures)?
-        } else {
-            Vec::new()
-        };
+        let is_main = is_main_controller(plan, index, controller);
+        let drawn_cases = if is_main { simulate_failures(plan, controller, &failures)? } else { Vec::new() };
         Ok(Self {
             controller: controller.name.clone(),
             command,
@@ -256,8 +243,8 @@ impl FailureSearch {
             distinct: classes.map(|class| (class, count(class))).into_iter().filter(|(_, n)| *n > 0).collect(),
             failures,
             collisions_of_others: summary.counterexamples.len() - own.len(),
-            is_main: is_main_controller(plan, index, controller),
-            drawn_cases: drawn,
+            is_main,
+            drawn_cases,
         })
     }
 
@@ -268,10 +255,8 @@ impl FailureSearch {
     fn unanswered(&self) -> Option<FailedControllerRuns> {
         let runs = self.methods.iter().map(|reached| reached.unanswered).sum();
         let reason = self.unanswered_failures().find_map(|failure| failure.reason.clone());
-        (runs > 0).then(|| FailedControllerRuns {
-            runs,
-            because: reason.unwrap_or_else(|| "the reason is unknown".to_owned()),
-        })
+        let because = reason.unwrap_or_else(|| "the reason is unknown".to_owned());
+        (runs > 0).then_some(FailedControllerRuns { runs, because })
     }
 
     pub(in crate::assessment) fn describe_unanswered(&self) -> Option<String> {
@@ -349,14 +334,11 @@ impl FailureSearch {
             return String::new();
         };
         let random = match uniform.failures {
-            0 => {
-                let upper = uniform_upper_bound(uniform);
-                format!(
-                    "no uniform point of {} fails, so the probability of a failure is below {} % at 95 % confidence",
-                    uniform.evaluations,
-                    Rounded::<2>::up(100.0 * upper)
-                )
-            }
+            0 => format!(
+                "no uniform point of {} fails, so the probability of a failure is below {} % at 95 % confidence",
+                uniform.evaluations,
+                uniform_upper_bound_percent(uniform)
+            ),
             failures => format!("{failures} of {} uniform points fail", uniform.evaluations),
         };
         let first = match main.first_failure {
@@ -374,7 +356,7 @@ impl FailureSearch {
         let uniform = self.method_result(Method::Uniform)?;
         let share = self.uniform_failure_percent()?;
         Some(match uniform.failures {
-            0 => format!("{share} (< {})", Rounded::<2>::up(100.0 * uniform_upper_bound(uniform))),
+            0 => format!("{share} (< {})", uniform_upper_bound_percent(uniform)),
             _ => share.to_string(),
         })
     }
@@ -397,9 +379,9 @@ impl FailureSearch {
     }
 }
 
-/// Returns the upper bound of the failure probability of a uniform point, at 95 %, if no point failed.
-fn uniform_upper_bound(uniform: &MethodResult) -> f64 {
-    RateInterval::clopper_pearson(0, uniform.evaluations, 0.9).upper
+/// Returns the upper bound of the failure probability of a uniform point in percent, at 95 %, if no point failed.
+fn uniform_upper_bound_percent(uniform: &MethodResult) -> Rounded<2> {
+    Rounded::up(100.0 * RateInterval::clopper_pearson(0, uniform.evaluations, 0.9).upper)
 }
 
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

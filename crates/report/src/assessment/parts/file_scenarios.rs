@@ -35,10 +35,8 @@ pub struct FileScenarios {
 }
 
 impl FileScenarios {
-    pub(in crate::assessment) fn gather(
-        plan: &AssessmentPlan,
-        work: &GatherContext<'_>,
-    ) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+        let plan = work.plan;
         if plan.file_scenarios.is_empty() {
             return Ok(None);
         }
@@ -57,19 +55,11 @@ impl FileScenarios {
         // Keep motion only for figures: hundreds of traces would not fit in memory.
         let closest_first = closest_scenarios(&scenarios);
         work.add_runs((plan.file_scenarios.len() * plan.controllers.len()) as u64)?;
-        let best = |&index: &usize| {
-            plan.file_scenarios
-                .get(index)
-                .map(|(_, scenario)| CertifiedAvoidance::load_or_compute(scenario, work))
-                .transpose()
-        };
+        let best = |&index: &usize| CertifiedAvoidance::load_or_compute(&plan.file_scenarios[index].1, work);
         let bests = closest_first.par_iter().map(best).collect::<Result<Vec<_>, _>>()?;
-        for ((&index, drawn), best) in closest_first.iter().zip(run(&closest_first, MotionRetention::Keep)?).zip(bests)
-        {
-            scenarios[index] = match best {
-                Some(best) => drawn.with_avoidance(best),
-                None => drawn,
-            };
+        let drawn = run(&closest_first, MotionRetention::Keep)?;
+        for ((&index, drawn), best) in closest_first.iter().zip(drawn).zip(bests) {
+            scenarios[index] = drawn.with_avoidance(best);
         }
         let left_out = plan.left_out.iter().map(ToString::to_string).collect();
         Ok(Some(Self { scenarios, left_out, closest_first }))

@@ -183,13 +183,8 @@ fn draw_accelerations(name: &str, trace: &Trace) -> Svg {
     panel.add_tags(&tags);
     let prefix = format!("acceleration-{name}");
     let description = "Acceleration of every vehicle over time, numbered from the front.";
-    Svg::new(
-        &prefix,
-        (width, HEADING_HEIGHT + height + BOTTOM_MARGIN),
-        name,
-        description,
-        panel.draw(&Svg::id(&prefix, "panel")),
-    )
+    let size = (width, HEADING_HEIGHT + height + BOTTOM_MARGIN);
+    Svg::new(&prefix, size, name, description, panel.draw(&Svg::id(&prefix, "panel")))
 }
 
 const INTRODUCTION: &str = "The paper reports that the learned controller brakes sharply early, which triggers the \

@@ -47,9 +47,7 @@ pub use map_grid::{FailureMapAxis, FixedParameter};
 pub use paper::PaperScenarios;
 pub use proofs::{EXAMPLE_MPS, KernelGap, Proofs};
 pub use provenance::{AssessmentProvenance, RunInfo};
-pub(super) use rate_certificates::{
-    gather_rate_certificate as count_one, generated_certificate_names, rate_count_names as counted_names,
-};
+pub(super) use rate_certificates::{generated_certificate_names, planned_rate_counts};
 pub use sampling::{ControllerSample, PairedCounts, PercentInterval, SpaceSample, SpaceSamples};
 pub use scenario_cases::ScenarioCases;
 pub use space_descriptions::{ParameterDescription, SpaceDescription, SpaceDescriptions};

@@ -34,17 +34,13 @@ impl PaperScenarios {
     /// Returns the paper's scenarios with the seed of the plan; none if the plan leaves the paper out.
     pub(in crate::assessment) fn scenarios(plan: &AssessmentPlan) -> Result<Vec<Scenario>, AssessError> {
         let seeded = |scenario: Scenario| scenario.edited(|spec| spec.seed = plan.config.seed);
-        let known = built_in_scenario_names()
-            .into_iter()
-            .filter(|_| plan.config.paper)
-            .filter_map(|(name, _)| built_in_scenario(name));
+        let names = built_in_scenario_names().into_iter().filter(|_| plan.config.paper);
+        let known = names.filter_map(|(name, _)| built_in_scenario(name));
         Ok(known.map(seeded).collect::<Result<Vec<_>, _>>()?)
     }
 
-    pub(in crate::assessment) fn gather(
-        plan: &AssessmentPlan,
-        work: &GatherContext<'_>,
-    ) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+        let plan = work.plan;
         if !plan.config.paper {
             return Ok(None);
         }
@@ -52,32 +48,24 @@ impl PaperScenarios {
         let all: Vec<&Scenario> = scenarios.iter().collect();
         let cases = run_cases(&all, &plan.controllers, plan.config.estimator, MotionRetention::Keep)?;
         work.add_runs((all.len() * plan.controllers.len()) as u64)?;
-        let bests = all
-            .par_iter()
-            .map(|scenario| CertifiedAvoidance::load_or_compute(scenario, work))
-            .collect::<Result<Vec<_>, _>>()?;
-        let scenarios = scenarios
-            .iter()
-            .zip(cases)
-            .zip(bests)
-            .map(|((scenario, cases), best)| {
-                let mut replay = CrumpleCommand::new(["simulate", scenario.spec().name.as_str()])
-                    .with_args(plan.estimator_args().iter().copied());
-                if plan.config.seed != 0 {
-                    replay = replay.with_args(["--seed".to_owned(), plan.config.seed.to_string()]);
-                }
-                ScenarioCases::new(scenario, replay, cases).with_avoidance(best)
-            })
-            .collect();
+        let best = |scenario: &Scenario| CertifiedAvoidance::load_or_compute(scenario, work);
+        let bests = scenarios.par_iter().map(best).collect::<Result<Vec<_>, _>>()?;
+        let with_avoidance = |((scenario, cases), best): ((&Scenario, _), _)| {
+            let mut replay = CrumpleCommand::new(["simulate", scenario.spec().name.as_str()])
+                .with_args(plan.estimator_args().iter().copied());
+            if plan.config.seed != 0 {
+                replay = replay.with_args(["--seed".to_owned(), plan.config.seed.to_string()]);
+            }
+            ScenarioCases::new(scenario, replay, cases).with_avoidance(best)
+        };
+        let scenarios = scenarios.iter().zip(cases).zip(bests).map(with_avoidance).collect();
         // The first controller, and the first learned one or else the second.
         let learned = (1..plan.controllers.len()).find(|&index| plan.controllers[index].kind.is_learned());
         let beside =
             [Some(0), learned.or(Some(1))].into_iter().flatten().filter(|&index| index < plan.controllers.len());
         Ok(Some(Self { scenarios, side_by_side: beside.collect() }))
     }
-}
 
-impl PaperScenarios {
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         scenario_cases::evidence(plan, &self.scenarios, ANCHOR)
     }

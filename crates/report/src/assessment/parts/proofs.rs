@@ -53,18 +53,14 @@ const CONDITIONS: [&str; 4] = [
 
 impl Proofs {
     pub(in crate::assessment) fn gather<'a>(
-        plan: &AssessmentPlan,
         work: &GatherContext<'_>,
         scenarios: impl Iterator<Item = &'a ScenarioCases>,
     ) -> Result<Self, AssessError> {
         let pairs = VehicleClass::ALL.iter().flat_map(|&own| VehicleClass::ALL.iter().map(move |&ahead| (own, ahead)));
+        let scenes = scenarios.filter_map(ScenarioCases::named_certificate);
         Ok(Self {
             kernels: pairs.map(|(own, ahead)| KernelGap::new(own, ahead)).collect(),
-            certificates: certificates::gather_certificates(
-                plan,
-                work,
-                scenarios.filter_map(ScenarioCases::named_certificate),
-            )?,
+            certificates: certificates::gather_certificates(work, scenes)?,
             conditions: CONDITIONS,
         })
     }
@@ -129,10 +125,10 @@ impl Proofs {
         };
         let open: Vec<f64> = self.certificates.iter().filter_map(open).collect();
         let together = Rounded::<4>::down((100.0 - open.iter().sum::<f64>()).max(0.0));
-        (open.len() > 1).then(|| {
+        let bounds = open.len();
+        (bounds > 1).then(|| {
             format!(
-                "all {} bounds of rates and comparisons hold together at confidence {together} % (Bonferroni)",
-                open.len()
+                "all {bounds} bounds of rates and comparisons hold together at confidence {together} % (Bonferroni)"
             )
         })
     }

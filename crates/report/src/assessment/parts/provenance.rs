@@ -70,34 +70,22 @@ impl AssessmentProvenance {
     }
 
     fn lines(&self) -> Vec<(&'static str, String)> {
+        let config = &self.config;
+        let (spaces, runs, confidence) =
+            (config.search_spaces().join(", "), config.rates.runs, config.rates.confidence);
+        let files: Vec<_> = config.scenarios.iter().map(|path| path.display().to_string()).collect();
         let lines = vec![
             ("crumple", self.crumple.to_owned()),
-            ("estimator", self.config.estimator.name().to_owned()),
-            ("controllers", self.config.controllers.join(", ")),
-            ("random scenarios per space", self.config.draws.to_string()),
-            ("seed", self.config.seed.to_string()),
-            (
-                "searches",
-                format!(
-                    "{}, {} simulations per method",
-                    self.config.search_spaces().join(", "),
-                    self.config.search.budget
-                ),
-            ),
-            (
-                "counted runs",
-                format!(
-                    "{} at confidence {}, with the seed in each certificate",
-                    self.config.rates.runs, self.config.rates.confidence
-                ),
-            ),
-            ("drives in traffic and in high-risk", self.config.everyday_draws.to_string()),
-            ("gates", self.config.gates.len().to_string()),
+            ("estimator", config.estimator.name().to_owned()),
+            ("controllers", config.controllers.join(", ")),
+            ("random scenarios per space", config.draws.to_string()),
+            ("seed", config.seed.to_string()),
+            ("searches", format!("{spaces}, {} simulations per method", config.search.budget)),
+            ("counted runs", format!("{runs} at confidence {confidence}, with the seed in each certificate")),
+            ("drives in traffic and in high-risk", config.everyday_draws.to_string()),
+            ("gates", config.gates.len().to_string()),
             ("repeat with", "crumple assess, and the configuration in assessment.json as a file".to_owned()),
-            (
-                "scenarios from files",
-                self.config.scenarios.iter().map(|p| p.display().to_string()).collect::<Vec<_>>().join(", "),
-            ),
+            ("scenarios from files", files.join(", ")),
             ("configuration, SHA-256", self.config_sha256.clone()),
         ];
         lines.into_iter().filter(|(_, value)| !value.is_empty()).collect()

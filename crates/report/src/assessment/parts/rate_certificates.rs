@@ -14,8 +14,9 @@ use crumple_world::sim::NamedController;
 const COUNT_SEED_MASK: u64 = 0x5eed;
 
 /// A planned count: name of the certificate, scenario space, controller, and the other controller of a comparison.
-struct PlannedRateCount<'a> {
-    name: String,
+#[derive(Clone)]
+pub(in crate::assessment) struct PlannedRateCount<'a> {
+    pub(in crate::assessment) name: String,
     space: &'a NamedSpace,
     controller: NamedController,
     against: Option<NamedController>,
@@ -26,7 +27,7 @@ pub(in crate::assessment) fn generated_certificate_names(plan: &AssessmentPlan) 
     kernels.chain(planned_rate_counts(plan).into_iter().map(|counted| counted.name)).collect()
 }
 
-fn planned_rate_counts(plan: &AssessmentPlan) -> Vec<PlannedRateCount<'_>> {
+pub(in crate::assessment) fn planned_rate_counts(plan: &AssessmentPlan) -> Vec<PlannedRateCount<'_>> {
     if plan.config.rates.runs == 0 {
         return Vec::new();
     }
@@ -36,11 +37,8 @@ fn planned_rate_counts(plan: &AssessmentPlan) -> Vec<PlannedRateCount<'_>> {
     if let (Some(subject), Some(first)) = (plan.subject(), plan.controllers.first())
         && plan.subject_index != 0
     {
-        wanted.push((
-            format!("{}-against-{}", plan.controller_slug(plan.subject_index), plan.controller_slug(0)),
-            subject.clone(),
-            Some(first.clone()),
-        ));
+        let name = format!("{}-against-{}", plan.controller_slug(plan.subject_index), plan.controller_slug(0));
+        wanted.push((name, subject.clone(), Some(first.clone())));
     }
     // A claim needs a controller with an identity.
     wanted.retain(|(_, one, other)| std::iter::once(one).chain(other).all(|of| of.kind.identity().is_some()));
@@ -55,64 +53,41 @@ fn planned_rate_counts(plan: &AssessmentPlan) -> Vec<PlannedRateCount<'_>> {
     counted
 }
 
-pub(super) fn gather_rate_certificates(
-    plan: &AssessmentPlan,
-    work: &GatherContext<'_>,
-) -> Result<Vec<CheckedCertificate>, AssessError> {
-    let proofs = planned_rate_counts(plan).into_iter().map(|counted| count_rate(plan, work, counted));
-    proofs.collect()
-}
-
-pub(in crate::assessment) fn rate_count_names(plan: &AssessmentPlan) -> Vec<String> {
-    planned_rate_counts(plan).into_iter().map(|counted| counted.name).collect()
-}
-
-pub(in crate::assessment) fn gather_rate_certificate(
-    plan: &AssessmentPlan,
-    name: &str,
-    work: &GatherContext<'_>,
-) -> Result<(), AssessError> {
-    let named = planned_rate_counts(plan).into_iter().find(|counted| counted.name == name);
-    named.map_or(Ok(()), |counted| count_rate(plan, work, counted).map(drop))
-}
-
-fn count_rate(
-    plan: &AssessmentPlan,
-    work: &GatherContext<'_>,
-    counted: PlannedRateCount<'_>,
-) -> Result<CheckedCertificate, AssessError> {
-    let PlannedRateCount { name, space, controller, against } = counted;
-    let rates = RatePlan::new(RateConfig {
-        second_controller: against,
-        seed: plan.config.seed ^ COUNT_SEED_MASK,
-        estimator: plan.config.estimator,
-        confidence: plan.config.rates.confidence,
-        ..RateConfig::new(controller, space.space.clone(), plan.config.rates.runs)
-    })?;
-    // First line: the certificate. Second line, if needed: the controllers that gave no answer.
-    let kept: String = work.get_or_gather(&name, rates.registration(), || {
-        let mut tally = rates.empty_tally();
-        while tally.runs < plan.config.rates.runs {
-            let before = tally.runs;
-            rates.count_batch(&mut tally)?;
-            work.add_runs(tally.runs - before)?;
+impl PlannedRateCount<'_> {
+    pub(in crate::assessment) fn gather(self, work: &GatherContext<'_>) -> Result<CheckedCertificate, AssessError> {
+        let plan = work.plan;
+        let rates = RatePlan::new(RateConfig {
+            second_controller: self.against,
+            seed: plan.config.seed ^ COUNT_SEED_MASK,
+            estimator: plan.config.estimator,
+            confidence: plan.config.rates.confidence,
+            ..RateConfig::new(self.controller, self.space.space.clone(), plan.config.rates.runs)
+        })?;
+        // First line: the certificate. Second line, if needed: the controllers that gave no answer.
+        let kept: String = work.get_or_gather(&self.name, rates.registration(), || {
+            let mut tally = rates.empty_tally();
+            while tally.runs < plan.config.rates.runs {
+                let before = tally.runs;
+                rates.count_batch(&mut tally)?;
+                work.add_runs(tally.runs - before)?;
+            }
+            let text = serde_json::to_string(&rates.certificate(&tally)).map_err(CacheError::encoding)?;
+            Ok::<_, AssessError>(match tally.missing_answers_summary() {
+                unanswered if unanswered.is_empty() => text,
+                unanswered => format!("{text}\n{unanswered}"),
+            })
+        })?;
+        let (text, unanswered) = kept.split_once('\n').unwrap_or((&kept, ""));
+        let certificate = Certificate::from_json(text).map_err(|error| AssessError::Certificate(error.to_string()))?;
+        let mut proof = check_certificate(plan, self.name, &certificate, None)?;
+        let counts_others = includes_others(plan, &certificate.statement);
+        if let Some(status) =
+            not_shown_status(&certificate.statement, counts_others, unanswered).filter(|_| !proof.is_accepted())
+        {
+            proof.status = status;
         }
-        let text = serde_json::to_string(&rates.certificate(&tally)).map_err(CacheError::encoding)?;
-        Ok::<_, AssessError>(match tally.missing_answers_summary() {
-            unanswered if unanswered.is_empty() => text,
-            unanswered => format!("{text}\n{unanswered}"),
-        })
-    })?;
-    let (text, unanswered) = kept.split_once('\n').unwrap_or((&kept, ""));
-    let certificate = Certificate::from_json(text).map_err(|error| AssessError::Certificate(error.to_string()))?;
-    let mut proof = check_certificate(plan, name, &certificate, None)?;
-    let counts_others = includes_others(plan, &certificate.statement);
-    if let Some(status) =
-        not_shown_status(&certificate.statement, counts_others, unanswered).filter(|_| !proof.is_accepted())
-    {
-        proof.status = status;
+        Ok(proof)
     }
-    Ok(proof)
 }
 
 /// Returns the status of a count that does not show its claim: no proof, and no sign of tampering.

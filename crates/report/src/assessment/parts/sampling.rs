@@ -11,7 +11,9 @@ use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::NamedSpace;
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, ReportPart, Rounded};
-use crate::draw::{Axis, Ink, Marker, Panel, PixelRect, Stroke, Svg, text_width};
+use crate::draw::{
+    Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, Marker, Panel, PixelRect, SMALL_TEXT_SIZE, Stroke, Svg, text_width,
+};
 use crumple_evidence::RateInterval;
 use crumple_evidence::exposure::{FailureProbability, RatePerExposure};
 use crumple_world::scenario::Scenario;
@@ -96,6 +98,11 @@ pub struct PercentInterval {
 }
 
 impl PercentInterval {
+    pub(super) fn add_to(&self, panel: &mut Panel, y: f64, ink: Ink, marker: Marker) {
+        panel.add_segment((self.lower.value(), y), (self.upper.value(), y), Stroke::solid(ink, 2.5));
+        panel.add_markers(&[(self.observed.value(), y)], marker, ink);
+    }
+
     pub(super) fn format_bounds(&self) -> String {
         format!("{} – {}", self.lower, self.upper)
     }
@@ -170,8 +177,9 @@ impl ControllerSample {
 }
 
 impl SpaceSamples {
-    pub(in crate::assessment) fn gather(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Self, AssessError> {
-        let of = |named: &NamedSpace| SpaceSample::gather(plan, named, work);
+    pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Self, AssessError> {
+        let plan = work.plan;
+        let of = |named: &NamedSpace| SpaceSample::gather(named, work);
         Ok(Self { spaces: plan.rate_spaces.iter().map(of).collect::<Result<_, _>>()? })
     }
 
@@ -180,31 +188,19 @@ impl SpaceSamples {
         for drawn in self.spaces.iter().filter(|drawn| drawn.random_scenarios > 0) {
             let space = || drawn.space.clone();
             let draws = || Domain::Draws { space: space(), seed: drawn.seed, draws: drawn.random_scenarios };
-            let source = || {
-                EvidenceSource::from_part(
-                    ANCHOR,
-                    format!("{} random scenarios, seed {}", drawn.random_scenarios, drawn.seed),
-                )
-            };
+            let made = format!("{} random scenarios, seed {}", drawn.random_scenarios, drawn.seed);
             let first = plan.claim_subject(0, plan.config.estimator).zip(drawn.controllers.first());
             for (subject, sampled) in plan.claim_subjects().into_iter().zip(&drawn.controllers) {
                 let mut add = |property, domain, strength| {
                     let claim = AssuranceClaim { subject: subject.clone(), property, domain };
-                    all.push(Evidence { claim, strength, source: source() });
+                    all.push(Evidence { claim, strength, source: EvidenceSource::from_part(ANCHOR, made.as_str()) });
                 };
                 let telling = drawn.random_scenarios - sampled.ended_by_others;
-                let touching = Strength::from_counts_with_unanswered(
-                    sampled.collisions,
-                    telling,
-                    sampled.unanswered.as_ref(),
-                    true,
-                );
+                let unanswered = sampled.unanswered.as_ref();
+                let touching = Strength::from_counts_with_unanswered(sampled.collisions, telling, unanswered, true);
                 add(Property::NoContact, draws(), touching);
-                add(
-                    Property::OthersKeepClear,
-                    draws(),
-                    Strength::from_counts(sampled.ended_by_others, drawn.random_scenarios),
-                );
+                let others = Strength::from_counts(sampled.ended_by_others, drawn.random_scenarios);
+                add(Property::OthersKeepClear, draws(), others);
                 add(Property::FailureRate, Domain::Space { space: space() }, sampled.rate_strength(drawn));
                 if let Some((first, of_first)) = first.as_ref().filter(|(first, _)| *first != subject) {
                     let than = Property::FailsLessOften { than: first.controller.clone() };
@@ -217,16 +213,14 @@ impl SpaceSamples {
 }
 
 impl SpaceSample {
-    pub(in crate::assessment) fn gather(
-        plan: &AssessmentPlan,
-        named: &NamedSpace,
-        work: &GatherContext<'_>,
-    ) -> Result<Self, AssessError> {
+    pub(in crate::assessment) fn gather(named: &NamedSpace, work: &GatherContext<'_>) -> Result<Self, AssessError> {
+        let plan = work.plan;
         let inputs = json!([named.text, plan.config.draws, plan.config.seed, plan.identities()]);
-        work.get_or_gather(&format!("draws of {}", named.space.name()), &inputs, || Self::run(plan, named, work))
+        work.get_or_gather(&format!("draws of {}", named.space.name()), &inputs, || Self::run(named, work))
     }
 
-    fn run(plan: &AssessmentPlan, named: &NamedSpace, work: &GatherContext<'_>) -> Result<Self, AssessError> {
+    fn run(named: &NamedSpace, work: &GatherContext<'_>) -> Result<Self, AssessError> {
+        let plan = work.plan;
         let config = &plan.config;
         let mut tallies: Vec<SampleTally> = plan.controllers.iter().map(|_| SampleTally::default()).collect();
         for from in (0..config.draws).step_by(BATCH_SIZE as usize) {
@@ -236,8 +230,7 @@ impl SpaceSample {
             let mut first: Vec<SampleOutcome> = Vec::new();
             for (tally, controller) in tallies.iter_mut().zip(&plan.controllers) {
                 let runs = run_samples(&scenarios, controller, plan)?;
-                let fared: Vec<SampleOutcome> =
-                    runs.iter().map(|run| SampleOutcome::from_verdict(&run.verdict)).collect();
+                let fared: Vec<_> = runs.iter().map(|run| SampleOutcome::from_verdict(&run.verdict)).collect();
                 if first.is_empty() {
                     first.clone_from(&fared);
                 }
@@ -251,8 +244,8 @@ impl SpaceSample {
                 unknown: tally.ended_by_others,
                 runs: tally.random_scenarios,
             };
-            let exposed = rate_per_exposure(plan, named, controller, known, work)?;
-            Ok(ControllerSample { rate_per_exposure: exposed, ..tally.finish(controller, index > 0) })
+            let rate_per_exposure = rate_per_exposure(named, controller, known, work)?;
+            Ok(ControllerSample { rate_per_exposure, ..tally.finish(controller, index > 0) })
         };
         let controllers =
             plan.controllers.iter().zip(tallies).enumerate().map(finish).collect::<Result<_, AssessError>>()?;
@@ -312,26 +305,29 @@ impl SpaceSample {
 
     fn figure(&self) -> Svg {
         let names: Vec<_> = self.controllers.iter().map(|sampled| sampled.controller.as_str()).collect();
-        let left = names.iter().map(|name| text_width(name, crate::draw::SMALL_TEXT_SIZE)).fold(0.0, f64::max) + 16.0;
-        let (width, height) = (480.0, 30.0 * names.len() as f64);
-        let frame = PixelRect { left, top: crate::draw::HEADING_HEIGHT, width: width - left - 24.0, height };
-        let axis = Axis::numeric("Collisions (% of random scenarios)", (0.0, 100.0), 5);
-        let mut panel =
-            Panel::new(frame, "Collision rate and its exact bounds", axis, Axis::categorical("", &names).reversed());
+        let (mut panel, size) =
+            share_panel("Collision rate and its exact bounds", "Collisions (% of random scenarios)", &names, 30.0);
         for (index, sampled) in self.controllers.iter().enumerate() {
             let y = (names.len() - 1 - index) as f64;
-            let PercentInterval { observed, lower, upper } = sampled.rate_percent;
-            let ink = if sampled.failures() == 0 { Ink::Series(0) } else { Ink::Alert };
-            let marker = if sampled.failures() == 0 { Marker::Ring } else { Marker::Cross };
-            panel.add_segment((lower.value(), y), (upper.value(), y), Stroke::solid(ink, 2.5));
-            panel.add_markers(&[(observed.value(), y)], marker, ink);
+            let (ink, marker) =
+                if sampled.failures() == 0 { (Ink::Series(0), Marker::Ring) } else { (Ink::Alert, Marker::Cross) };
+            sampled.rate_percent.add_to(&mut panel, y, ink, marker);
         }
         let description = self.controllers.iter().map(|s| format!("{} {} %", s.controller, s.rate_percent.observed));
         let description = description.collect::<Vec<_>>().join(", ");
-        let size = (width, frame.bottom() + crate::draw::BOTTOM_MARGIN);
         let id = format!("rates-{}", self.space.name);
         Svg::new(&id, size, "Collision rates", &description, panel.draw(&Svg::id(&id, "panel")))
     }
+}
+
+/// Returns a panel of shares in percent with one row for each name, from the top, and the size of its figure.
+pub(super) fn share_panel(title: &str, axis: &str, names: &[&str], row_height: f64) -> (Panel, (f64, f64)) {
+    let left = names.iter().map(|name| text_width(name, SMALL_TEXT_SIZE)).fold(0.0, f64::max) + 16.0;
+    let (width, height) = (480.0, row_height * names.len() as f64);
+    let frame = PixelRect { left, top: HEADING_HEIGHT, width: width - left - 24.0, height };
+    let axis = Axis::numeric(axis, (0.0, 100.0), 5);
+    let panel = Panel::new(frame, title, axis, Axis::categorical("", names).reversed());
+    (panel, (width, frame.bottom() + BOTTOM_MARGIN))
 }
 
 /// Simulates each scenario without recording its trace.
@@ -341,10 +337,18 @@ pub(super) fn run_samples(
     plan: &AssessmentPlan,
 ) -> Result<Vec<RunSummary>, RunError> {
     let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
+    simulate_each(scenarios, &options, RecordingLevel::Summary, RunSummary::new)
+}
+
+/// Simulates each scenario, in order.
+pub(super) fn simulate_each<T: Send>(
+    scenarios: &[Scenario],
+    options: &RunOptions,
+    keep: RecordingLevel,
+    read: fn(&Scenario, &SimulationResult) -> T,
+) -> Result<Vec<T>, RunError> {
     let runs = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
-    Ok(simulate_batch(&runs, RecordingLevel::Summary, |index, simulated| {
-        RunSummary::new(runs[index].scenario(), &simulated)
-    }))
+    Ok(simulate_batch(&runs, keep, |index, simulated| read(runs[index].scenario(), &simulated)))
 }
 
 impl RunSummary {
@@ -411,12 +415,9 @@ impl SampleTally {
         }
         for (first, this) in with_first {
             match (first, this) {
-                (
-                    SampleOutcome::Fails | SampleOutcome::Unanswered,
-                    SampleOutcome::Fails | SampleOutcome::Unanswered,
-                ) => self.paired.both += 1,
                 (SampleOutcome::Fails, SampleOutcome::Passes) => self.paired.only_first += 1,
                 (SampleOutcome::Passes, SampleOutcome::Fails | SampleOutcome::Unanswered) => self.paired.only_this += 1,
+                (_, SampleOutcome::Fails | SampleOutcome::Unanswered) => self.paired.both += 1,
                 // A scenario without an answer of the first controller does not count in favour of this one.
                 (SampleOutcome::Unanswered | SampleOutcome::Passes, SampleOutcome::Passes) => {}
             }
@@ -428,14 +429,12 @@ impl SampleTally {
     }
 
     fn finish(self, controller: &NamedController, is_paired: bool) -> ControllerSample {
+        let counts = [self.failures(), self.ended_by_others];
+        let rate_percent = PercentInterval::clopper_pearson(counts, self.random_scenarios, CONFIDENCE);
         let mean_impact_mps = self.impact_speed_sum_mps / self.impacts as f64;
         ControllerSample {
             controller: controller.name.clone(),
-            rate_percent: PercentInterval::clopper_pearson(
-                [self.failures(), self.ended_by_others],
-                self.random_scenarios,
-                CONFIDENCE,
-            ),
+            rate_percent,
             collisions: self.collisions,
             unanswered: self.unanswered,
             ended_by_others: self.ended_by_others,

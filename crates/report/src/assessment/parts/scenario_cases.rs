@@ -90,12 +90,12 @@ impl ScenarioCases {
     /// Adds the avoidance of the scenario, and each controller's regret.
     pub(in crate::assessment) fn with_avoidance(
         mut self,
-        CertifiedAvoidance { avoidance: best, certificate }: CertifiedAvoidance,
+        CertifiedAvoidance { avoidance, certificate }: CertifiedAvoidance,
     ) -> Self {
         for case in &mut self.cases {
-            case.regret_m = best.regret_m(case);
+            case.regret_m = avoidance.regret_m(case);
         }
-        (self.avoidance, self.certificate) = (Some(best), certificate);
+        (self.avoidance, self.certificate) = (Some(avoidance), certificate);
         self
     }
 
@@ -181,21 +181,19 @@ impl ScenarioCases {
 
     fn with_figures<T>(&self, cases: &[&CaseResult], draw: impl FnOnce(&[MotionFigure<'_>]) -> T) -> T {
         let moved: Vec<_> = cases.iter().filter_map(|case| Some((*case, case.motion.as_ref()?))).collect();
-        let named = |name: &str| format!("{}-{name}", self.scenario);
-        let prefixes: Vec<_> = moved.iter().map(|(case, _)| named(&case.controller)).collect();
-        let titles: Vec<_> = moved.iter().map(|(case, _)| format!("{}, {}", self.scenario, case.controller)).collect();
-        let figures: Vec<_> = moved
-            .iter()
-            .zip(prefixes.iter().zip(&titles))
-            .map(|((_, (trace, impacts)), (prefix, title))| MotionFigure {
-                prefix,
-                title,
-                labels: &self.labels,
-                trace,
-                impacts,
-            })
-            .collect();
-        draw(&figures)
+        let names = |(case, _): &(&CaseResult, _)| {
+            let (scenario, controller) = (&self.scenario, &case.controller);
+            (format!("{scenario}-{controller}"), format!("{scenario}, {controller}"))
+        };
+        let names: Vec<_> = moved.iter().map(names).collect();
+        let figures = moved.iter().zip(&names).map(|((_, (trace, impacts)), (prefix, title))| MotionFigure {
+            prefix,
+            title,
+            labels: &self.labels,
+            trace,
+            impacts,
+        });
+        draw(&figures.collect::<Vec<_>>())
     }
 
     pub(in crate::assessment) fn animation(&self, case: &CaseResult) -> Markup {

@@ -9,7 +9,7 @@ use crate::assessment::markdown::Inline;
 use crate::assessment::prose::prose_to_html;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, ReportPart};
-use crumple_world::scenario::space::{ScenarioSpace, built_in_space};
+use crumple_world::scenario::space::{ScenarioSpace, built_in_space, built_in_space_summary};
 
 /// The parameters of each scenario space, with ranges and probability distributions.
 #[derive(Debug, Clone, Serialize)]
@@ -71,7 +71,7 @@ impl SpaceDescription {
         });
         Self {
             name: spec.name.clone(),
-            about: spec.about.clone(),
+            about: built_in_space_summary(space).map_or_else(|| spec.about.clone(), sentence),
             parameters: parameters.collect(),
             has_dependence: spec.dependence.is_some(),
         }
@@ -96,6 +96,13 @@ impl SpaceDescription {
         };
         format!("{}{depends}", self.about)
     }
+}
+
+/// Returns a one-line description as a sentence.
+fn sentence(summary: &str) -> String {
+    let mut letters = summary.chars();
+    let first = letters.next().map(char::to_uppercase).into_iter().flatten();
+    first.chain(letters).chain(['.']).collect()
 }
 
 const INTRODUCTION: &str = "Random scenarios follow the distribution; a search covers the whole range. Fields are \

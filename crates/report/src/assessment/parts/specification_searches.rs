@@ -92,12 +92,8 @@ pub(in crate::assessment) struct SpecificationSearchPlan<'p> {
 impl<'p> SpecificationSearchPlan<'p> {
     pub(in crate::assessment) fn from_plan(plan: &'p AssessmentPlan) -> impl Iterator<Item = Self> {
         plan.search_spaces.iter().flat_map(move |space| {
-            plan.config.search.specifications.iter().flat_map(move |rule| {
-                plan.controllers.iter().enumerate().map(move |controller| Self {
-                    space,
-                    specification: rule,
-                    controller,
-                })
+            plan.config.search.specifications.iter().flat_map(move |specification| {
+                plan.controllers.iter().enumerate().map(move |controller| Self { space, specification, controller })
             })
         })
     }
@@ -109,9 +105,9 @@ impl<'p> SpecificationSearchPlan<'p> {
 
     pub(in crate::assessment) fn gather(
         &self,
-        plan: &AssessmentPlan,
         work: &GatherContext<'_>,
     ) -> Result<(CampaignSummary, Vec<CounterexampleFiles>), AssessError> {
+        let plan = work.plan;
         let (controller, space) = (self.controller.1, &self.space.space);
         let nominal = space.scenario(&space.nominal())?;
         let campaign = Campaign {
@@ -135,27 +131,16 @@ impl<'p> SpecificationSearchPlan<'p> {
         let (index, controller) = self.controller;
         let word = controller_arg(&controller.kind);
         let seeing = plan.estimator_args().iter().copied();
-        let stem = format!(
-            "{}/{}/{}",
-            file_stem(self.space.space.name()),
-            file_stem(self.specification),
-            plan.controller_slug(index)
-        );
+        let (space, rule) = (file_stem(self.space.space.name()), file_stem(self.specification));
+        let stem = format!("{space}/{rule}/{}", plan.controller_slug(index));
         let is_unanswered = |found: &&Counterexample| found.because.is_some();
         let severest = summary.counterexamples.first().filter(|found| !is_unanswered(found));
         let worst =
             severest.zip(texts.into_iter().next()).map(|(found, CounterexampleFiles { counterexample: text, .. })| {
                 let file = format!("counterexamples/rules/{stem}.toml");
                 let replay = word.as_deref().map(|word| {
-                    let simulate = CrumpleCommand::new([
-                        "simulate",
-                        file.as_str(),
-                        "--controller",
-                        word,
-                        "--spec",
-                        self.specification,
-                    ]);
-                    simulate.with_args(seeing.clone()).with_args(["--expect", "violated"])
+                    let simulate = ["simulate", &file, "--controller", word, "--spec", self.specification];
+                    CrumpleCommand::new(simulate).with_args(seeing.clone()).with_args(["--expect", "violated"])
                 });
                 let changed = found.changed.iter().map(|one| match one.unit.as_str() {
                     "1" => format!("{} {}", one.parameter, one.value),
@@ -181,7 +166,7 @@ impl<'p> SpecificationSearchPlan<'p> {
         let unanswered = summary.failures.iter().filter(|kind| kind.failed_vehicle.is_some());
         let runs: u64 = unanswered.clone().map(|kind| kind.count).sum();
         let reason = unanswered.filter_map(|kind| kind.because.clone()).next();
-        let reason = reason.unwrap_or_else(|| "the reason is unknown".to_owned());
+        let because = reason.unwrap_or_else(|| "the reason is unknown".to_owned());
         let breaking = summary.failures.iter().filter(|kind| kind.failed_vehicle.is_none());
         let by_method = breaking.flat_map(|kind| &kind.by_method).filter(|by| by.method == summary.method);
         let failures: u64 = summary.methods.iter().map(|method| method.failures).sum();
@@ -189,7 +174,7 @@ impl<'p> SpecificationSearchPlan<'p> {
             controller: controller.name.clone(),
             evaluations: summary.methods.iter().map(|method| method.evaluations).sum(),
             violations: failures.saturating_sub(runs),
-            unanswered: (runs > 0).then_some(FailedControllerRuns { runs, because: reason }),
+            unanswered: (runs > 0).then_some(FailedControllerRuns { runs, because }),
             distinct: summary.counterexamples.iter().filter(|found| !is_unanswered(found)).count(),
             first: by_method.map(|by| by.first).min(),
             worst,
@@ -199,13 +184,11 @@ impl<'p> SpecificationSearchPlan<'p> {
 }
 
 impl SpecificationSearches {
-    pub(in crate::assessment) fn gather(
-        plan: &AssessmentPlan,
-        work: &GatherContext<'_>,
-    ) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+        let plan = work.plan;
         let mut searches: Vec<SpaceSpecificationSearches> = Vec::new();
         for one in SpecificationSearchPlan::from_plan(plan) {
-            let found = one.summarize(plan, one.gather(plan, work)?);
+            let found = one.summarize(plan, one.gather(work)?);
             if one.controller.0 == 0 {
                 let (space, rule) = (one.space.content_id.clone(), one.specification.to_owned());
                 searches.push(SpaceSpecificationSearches { space, specification: rule, controllers: Vec::new() });
@@ -223,12 +206,7 @@ impl SpecificationSearches {
             let claimants = plan.claim_subjects().into_iter().zip(&searches.controllers);
             let each = claimants.map(|(subject, search)| Evidence {
                 claim: AssuranceClaim { subject, property: searches.property(), domain: domain.clone() },
-                strength: Strength::from_counts_with_unanswered(
-                    search.violations,
-                    search.evaluations,
-                    search.unanswered.as_ref(),
-                    false,
-                ),
+                strength: search.strength(),
                 source: EvidenceSource::from_part(ANCHOR, format!("{} simulations", search.evaluations)),
             });
             each.collect::<Vec<_>>()
@@ -246,6 +224,12 @@ impl SpecificationSearches {
 
     pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         self.violations().filter_map(|one| one.replay.as_ref())
+    }
+}
+
+impl SpecificationSearch {
+    fn strength(&self) -> Strength {
+        Strength::from_counts_with_unanswered(self.violations, self.evaluations, self.unanswered.as_ref(), false)
     }
 }
 

@@ -23,10 +23,10 @@ use crumple_world::sim::{FailedControllerRuns, NamedController};
 const ANCHOR: &str = "suites";
 
 pub(in crate::assessment) fn gather_suite(
-    plan: &AssessmentPlan,
     planned: &PlannedSuite,
     work: &GatherContext<'_>,
 ) -> Result<SuiteCacheEntry, AssessError> {
+    let plan = work.plan;
     let tested: Vec<NamedController> =
         planned.controller_indices.iter().filter_map(|&place| plan.controllers.get(place).cloned()).collect();
     let identities: Vec<_> = tested.iter().map(|controller| plan.identity(controller)).collect();
@@ -148,16 +148,14 @@ pub(in crate::assessment) struct SuiteCacheEntry {
 }
 
 impl Suites {
-    pub(in crate::assessment) fn gather(
-        plan: &AssessmentPlan,
-        work: &GatherContext<'_>,
-    ) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+        let plan = work.plan;
         if plan.suites.is_empty() {
             return Ok(None);
         }
         let mut all = Self { statement: DISCLAIMER, suites: Vec::new(), files: BTreeMap::new() };
         for planned in &plan.suites {
-            let SuiteCacheEntry { findings: found, files } = gather_suite(plan, planned, work)?;
+            let SuiteCacheEntry { findings: found, files } = gather_suite(planned, work)?;
             all.suites.push(found);
             all.files.extend(files);
         }
@@ -275,6 +273,7 @@ impl SuiteOutcome {
     ) -> Result<Self, AssessError> {
         let is_refused = matches!(tested.verdict, TestVerdict::Refused { .. });
         let within = tested.worst_in_tolerance.as_ref();
+        let impact_mps = |failed: &FailedPoint| failed.verdict.impact_speed_mps();
         let worst = tested.failures().max_by(|a, b| impact_mps(a).total_cmp(&impact_mps(b)));
         let (failed, passed) = (tested.failed_points.len() as u64, tested.passed_points as u64);
         Ok(Self {
@@ -313,10 +312,8 @@ impl SuiteOutcome {
         if unanswered > 0 {
             words += &format!("; no answer in {unanswered} of {} runs", self.runs);
         }
-        ReportCell::with_mark(
-            words,
-            self.passed.map_or(CellMark::Neutral, |passed| if passed { CellMark::Good } else { CellMark::Bad }),
-        )
+        let mark = self.passed.map_or(CellMark::Neutral, |passed| if passed { CellMark::Good } else { CellMark::Bad });
+        ReportCell::with_mark(words, mark)
     }
 }
 
@@ -345,13 +342,6 @@ impl SuiteFailure {
 
     fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         self.replay.iter().chain(self.escape.iter().map(|escape| &escape.replay))
-    }
-}
-
-fn impact_mps(failed: &FailedPoint) -> f64 {
-    match failed.verdict {
-        TestVerdict::Failed { impact_speed_mps, .. } => impact_speed_mps,
-        _ => 0.0,
     }
 }
 
@@ -399,20 +389,14 @@ impl SuiteFindings {
                 FailedControllerRuns::merge(&mut all, outcome.total_unanswered());
                 runs += outcome.runs;
             }
-            Some(format!(
-                "{controller} {}. These are failures of the controller, but no collisions.",
-                all?.describe(runs)
-            ))
+            let words = all?.describe(runs);
+            Some(format!("{controller} {words}. These are failures of the controller, but no collisions."))
         };
         self.controllers.iter().enumerate().filter_map(of).collect()
     }
 
     fn describe(&self) -> String {
         format!("Modelled on {}. Source of the parameters: {} {DISCLAIMER}", self.document, self.figures_from)
-    }
-
-    fn out_of_scope(&self) -> Vec<String> {
-        [&self.outside[..], &self.left_out].concat()
     }
 
     fn replay_commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
@@ -440,7 +424,9 @@ impl ReportPart for Suites {
                 out.table(&found.details_table())
             });
             out.markdown_mut().paragraph("Not modelled, or omitted:");
-            out.collapsible("not modelled, or omitted", |out| out.list(&found.out_of_scope()));
+            out.collapsible("not modelled, or omitted", |out| {
+                out.list(&[&found.outside[..], &found.left_out].concat())
+            });
             out.push_html(html! { p.replay { @for command in found.replay_commands() { code { (command) } " " } } });
         }
     }

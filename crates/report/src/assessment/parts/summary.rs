@@ -14,6 +14,7 @@ use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, GateResult, ReportPart, Rounded};
 use crumple_world::control::ProcessController;
 use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::space::built_in_space_summary;
 use crumple_world::sim::{ControllerKind, NamedController};
 
 /// Every claim about every controller.
@@ -96,27 +97,21 @@ const RARE_PERCENT: f64 = 1.0;
 impl ClaimSummary {
     pub(in crate::assessment) fn new(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledger) -> Self {
         let controllers: Vec<_> = plan.controllers.iter().map(|controller| controller.name.clone()).collect();
-        let rows = claim_rows(plan, found, ledger);
+        let claims = claim_rows(plan, found, ledger);
         let subject = plan.subject().map(|subject| subject.name.clone());
         let is_asked = |&index: &usize| {
             index == 0
                 || index == plan.subject_index
                 || plan.controllers.get(index).is_some_and(|one| one.kind.is_learned())
         };
-        let asked = (0..controllers.len()).filter(is_asked).collect();
-        Self {
-            subject,
-            controllers,
-            named: explain_names(plan, found),
-            claims: rows,
-            gates: Vec::new(),
-            main_columns: asked,
-        }
+        let main_columns = (0..controllers.len()).filter(is_asked).collect();
+        Self { subject, controllers, named: explain_names(plan, found), claims, gates: Vec::new(), main_columns }
     }
 
     /// Returns the table of all claims: the main controllers first, then the others.
     fn table(&self) -> ReportTable {
-        let (main, others) = self.split_columns();
+        let is_main = |index: &usize| self.main_columns.contains(index);
+        let (main, others): (Vec<usize>, Vec<usize>) = (0..self.controllers.len()).partition(is_main);
         self.table_of(&[main, others].concat(), |_| true)
     }
 
@@ -152,10 +147,6 @@ impl ClaimSummary {
             &[("name", &|one| ReportCell::text(&one.name)), ("explanation", &|one| ReportCell::text(&one.explanation))],
         )
     }
-
-    fn split_columns(&self) -> (Vec<usize>, Vec<usize>) {
-        (0..self.controllers.len()).partition(|index| self.main_columns.contains(index))
-    }
 }
 
 fn explain_names(plan: &AssessmentPlan, found: &GatheredEvidence<'_>) -> Vec<NameExplanation> {
@@ -166,15 +157,25 @@ fn explain_names(plan: &AssessmentPlan, found: &GatheredEvidence<'_>) -> Vec<Nam
     let mut all: Vec<NameExplanation> = controllers.collect();
     let everyday = found.usefulness.iter().flat_map(|usefulness| usefulness.space_summaries());
     let own = plan.rate_spaces.iter().chain(&plan.search_spaces);
-    let own = own.map(|named| (named.space.name().to_owned(), named.space.spec().about.clone()));
-    for (name, about) in own.chain(everyday) {
+    let own = own.map(|named| {
+        let explanation =
+            built_in_space_summary(&named.space).unwrap_or_else(|| first_clause(&named.space.spec().about));
+        (named.space.name().to_owned(), explanation.to_owned())
+    });
+    for (name, explanation) in own.chain(everyday) {
         let name = format!("space `{name}`");
         if !all.iter().any(|known| known.name == name) {
-            let first = about.split_inclusive(['.', ':']).next().unwrap_or_default();
-            all.push(NameExplanation { name, explanation: first.trim_end_matches(['.', ':']).to_owned() });
+            all.push(NameExplanation { name, explanation });
         }
     }
     all
+}
+
+/// Returns the text before the first `.` or `:` that is not part of a word or number.
+fn first_clause(text: &str) -> &str {
+    let is_end = |at: usize| text.get(at + 1..).is_none_or(|rest| rest.chars().next().is_none_or(char::is_whitespace));
+    let end = text.match_indices(['.', ':']).map(|(at, _)| at).find(|at| is_end(*at));
+    end.and_then(|end| text.get(..end)).unwrap_or(text)
 }
 
 fn describe_controller(kind: &ControllerKind) -> String {
@@ -191,12 +192,10 @@ fn describe_controller(kind: &ControllerKind) -> String {
         }
         ControllerKind::Process(process) => match process.is_deterministic() {
             true => describe_process(process).to_owned(),
-            false => {
-                format!(
-                    "{} that is not deterministic: a repeated assessment may have other results",
-                    describe_process(process)
-                )
-            }
+            false => format!(
+                "{} that is not deterministic: a repeated assessment may have other results",
+                describe_process(process)
+            ),
         },
         ControllerKind::Custom(_) => "external controller".to_owned(),
     }

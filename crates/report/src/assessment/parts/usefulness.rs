@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::sampling::{RunSummary, run_samples};
+use super::sampling::{RunSummary, run_samples, share_panel, simulate_each};
 use super::{PercentInterval, StringStabilityVerdict};
 use crate::assessment::case::CaseVerdict;
 use crate::assessment::claims::{
@@ -15,15 +15,11 @@ use crate::assessment::gather_context::GatherContext;
 use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, ReportPart, Rounded};
-use crate::draw::{
-    Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, Marker, Panel, PixelRect, SMALL_TEXT_SIZE, Stroke, Svg, text_width,
-};
+use crate::draw::{Ink, Marker, Svg};
 use crumple_world::measure::{self, FollowingMeasures, UNNECESSARY_MARGIN_MPS2};
-use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as space_file};
+use crumple_world::scenario::space::{ScenarioSpace, built_in_space, built_in_space_summary, file as space_file};
 use crumple_world::scenario::{Scenario, speed_dip};
-use crumple_world::sim::{
-    FailedControllerRuns, NamedController, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate_batch,
-};
+use crumple_world::sim::{FailedControllerRuns, NamedController, RecordingLevel, RunOptions, SimulationResult};
 
 const ANCHOR: &str = "usefulness";
 
@@ -124,47 +120,40 @@ struct EverydayDrive {
 }
 
 impl UsefulnessReport {
-    pub(in crate::assessment) fn gather(
-        plan: &AssessmentPlan,
-        work: &GatherContext<'_>,
-    ) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+        let plan = work.plan;
         if plan.config.everyday_draws == 0 {
             return Ok(None);
         }
         let inputs =
             json!([plan.config.everyday_draws, plan.config.seed, plan.config.estimator.name(), plan.identities()]);
-        work.get_or_gather("usefulness", &inputs, || Self::run(plan, work))
+        work.get_or_gather("usefulness", &inputs, || Self::run(work))
     }
 
-    fn run(plan: &AssessmentPlan, work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+    fn run(work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+        let plan = work.plan;
         let (seed, count) = (plan.config.seed, plan.config.everyday_draws);
         let [Some(traffic), Some(high_risk)] = EVERYDAY_SPACES.map(built_in_space) else { return Ok(None) };
-        let spaces = [&traffic, &high_risk]
-            .map(|space| space_file::to_toml(space).map(|text| ContentId::new(space.name(), text)));
-        let [traffic_known, high_risk_known] = spaces;
-        let spaces = [traffic_known.map_err(CacheError::encoding)?, high_risk_known.map_err(CacheError::encoding)?];
+        let content_id = |space: &ScenarioSpace| {
+            let text = space_file::to_toml(space).map_err(CacheError::encoding)?;
+            Ok::<_, CacheError>(ContentId::new(space.name(), text))
+        };
+        let spaces = [content_id(&traffic)?, content_id(&high_risk)?];
         let random_scenarios =
             |space: ScenarioSpace| (0..count).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>();
         let (traffic, high_risk, line) =
             (random_scenarios(traffic)?, random_scenarios(high_risk)?, speed_dip(FOLLOWERS, TIME_GAP_S)?);
-        let known_line = ContentId::from_scenario("a platoon of five vehicles whose leader slows down", &line);
+        let platoon = ContentId::from_scenario("a platoon of five vehicles whose leader slows down", &line);
         let useful = |controller: &NamedController| -> Result<ControllerUsefulness, AssessError> {
             let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
-            let drives = EverydayDrive::simulate_all(&traffic, &options)?;
+            let drives = simulate_each(&traffic, &options, RecordingLevel::Trace, EverydayDrive::new)?;
             let danger = run_samples(&high_risk, controller, plan)?;
             let line = StringStabilityVerdict::simulate(&line, &options)?;
             work.add_runs(2 * count + 1)?;
             Ok(ControllerUsefulness::new(controller, &drives, &danger, line))
         };
         let controllers = plan.controllers.iter().map(useful).collect::<Result<_, _>>()?;
-        Ok(Some(Self {
-            spaces,
-            platoon: known_line,
-            random_scenarios: count,
-            seed,
-            confidence: CONFIDENCE,
-            controllers,
-        }))
+        Ok(Some(Self { spaces, platoon, random_scenarios: count, seed, confidence: CONFIDENCE, controllers }))
     }
 
     pub(in crate::assessment) fn domains(&self) -> [Domain; 2] {
@@ -173,7 +162,7 @@ impl UsefulnessReport {
     }
 
     pub(super) fn space_summaries(&self) -> Vec<(String, String)> {
-        let of = |name: &str| Some((name.to_owned(), built_in_space(name)?.spec().about.clone()));
+        let of = |name: &str| Some((name.to_owned(), built_in_space_summary(&built_in_space(name)?)?.to_owned()));
         EVERYDAY_SPACES.iter().filter_map(|name| of(name)).collect()
     }
 
@@ -200,6 +189,7 @@ impl UsefulnessReport {
 
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let [traffic, danger] = self.domains();
+        let made = format!("{} drives, seed {}", self.random_scenarios, self.seed);
         let mut all = Vec::new();
         for (subject, useful) in plan.claim_subjects().into_iter().zip(&self.controllers) {
             let touching = |place: usize, failures: u64| failures.saturating_sub(useful.unanswered_runs()[place]);
@@ -216,26 +206,16 @@ impl UsefulnessReport {
                     in_danger,
                 ),
             ];
-            let line = AssuranceClaim {
-                subject: subject.clone(),
-                property: Property::StringStable,
-                domain: self.platoon_domain(),
-            };
+            let (property, domain) = (Property::StringStable, self.platoon_domain());
+            let line = AssuranceClaim { subject: subject.clone(), property, domain };
             let source = EvidenceSource::from_part(ANCHOR, "one run of a platoon");
             all.push(Evidence { claim: line, strength: useful.string_stability.strength(), source });
-            all.extend(counts.map(|(property, domain, failures, ended_by_others, unanswered)| Evidence {
-                strength: Strength::from_counts_with_unanswered(
-                    failures,
-                    self.random_scenarios - ended_by_others,
-                    unanswered.as_ref(),
-                    property == Property::NoContact,
-                ),
-                claim: AssuranceClaim { subject: subject.clone(), property, domain: domain.clone() },
-                source: EvidenceSource::from_part(
-                    ANCHOR,
-                    format!("{} drives, seed {}", self.random_scenarios, self.seed),
-                ),
-            }));
+            for (property, domain, failures, ended_by_others, unanswered) in counts {
+                let (telling, refutes) = (self.random_scenarios - ended_by_others, property == Property::NoContact);
+                let strength = Strength::from_counts_with_unanswered(failures, telling, unanswered.as_ref(), refutes);
+                let claim = AssuranceClaim { subject: subject.clone(), property, domain: domain.clone() };
+                all.push(Evidence { claim, strength, source: EvidenceSource::from_part(ANCHOR, made.as_str()) });
+            }
         }
         all
     }
@@ -300,11 +280,8 @@ impl UsefulnessReport {
         let of = |useful: &ControllerUsefulness| {
             let places = EVERYDAY_SPACES.into_iter().zip(&useful.unanswered);
             let words = places.filter_map(|(place, unanswered)| {
-                Some(format!(
-                    "{} in `{place}`: {}",
-                    useful.controller,
-                    unanswered.as_ref()?.describe(self.random_scenarios)
-                ))
+                let words = unanswered.as_ref()?.describe(self.random_scenarios);
+                Some(format!("{} in `{place}`: {words}", useful.controller))
             });
             let line = match &useful.string_stability {
                 StringStabilityVerdict::Unanswered { reason } => {
@@ -320,53 +297,37 @@ impl UsefulnessReport {
     /// Draws both shares: one row per controller, 0 at the left, lower is better.
     pub(super) fn figure(&self, id: &str) -> Svg {
         let names: Vec<_> = self.controllers.iter().map(|useful| useful.controller.as_str()).collect();
-        let left = names.iter().map(|name| text_width(name, SMALL_TEXT_SIZE)).fold(0.0, f64::max) + 16.0;
-        let (width, height) = (480.0, 36.0 * names.len() as f64);
-        let frame = PixelRect { left, top: HEADING_HEIGHT, width: width - left - 24.0, height };
-        let axis = Axis::numeric("Share of random scenarios (%)", (0.0, 100.0), 5);
         let title = "Failures in high-risk (×), unnecessary braking (○)";
-        let mut panel = Panel::new(frame, title, axis, Axis::categorical("", &names).reversed());
+        let (mut panel, size) = share_panel(title, "Share of random scenarios (%)", &names, 36.0);
         for (index, useful) in self.controllers.iter().enumerate() {
             let row = (names.len() - 1 - index) as f64;
             let sides = [
                 (useful.high_risk_percent, row + 0.15, Ink::Alert, Marker::Cross),
                 (useful.unnecessary_braking_percent, row - 0.15, Ink::Series(0), Marker::Ring),
             ];
-            for (PercentInterval { observed, lower, upper }, y, ink, marker) in sides {
-                panel.add_segment((lower.value(), y), (upper.value(), y), Stroke::solid(ink, 2.5));
-                panel.add_markers(&[(observed.value(), y)], marker, ink);
+            for (share, y, ink, marker) in sides {
+                share.add_to(&mut panel, y, ink, marker);
             }
         }
         let of = |useful: &ControllerUsefulness| {
             let (fails, brakes) = (useful.high_risk_percent.observed, useful.unnecessary_braking_percent.observed);
-            format!(
-                "{} fails in {fails} % of high-risk, brakes unnecessarily in {brakes} % of traffic",
-                useful.controller
-            )
+            let name = &useful.controller;
+            format!("{name} fails in {fails} % of high-risk, brakes unnecessarily in {brakes} % of traffic")
         };
         let description = self.controllers.iter().map(of).collect::<Vec<_>>().join("; ");
-        let size = (width, frame.bottom() + BOTTOM_MARGIN);
         Svg::new(id, size, "Safety and usefulness", &description, panel.draw(&Svg::id(id, "panel")))
     }
 }
 
 impl EverydayDrive {
-    fn simulate_all(scenarios: &[Scenario], options: &RunOptions) -> Result<Vec<Self>, RunError> {
-        let runs =
-            scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
-        Ok(simulate_batch(&runs, RecordingLevel::Trace, |index, simulated| {
-            Self::new(runs[index].scenario(), &simulated)
-        }))
-    }
-
     fn new(scenario: &Scenario, simulated: &SimulationResult) -> Self {
         let ego = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index));
-        let usefulness = simulated.trace.as_ref().zip(ego);
-        Self {
-            verdict: CaseVerdict::new(simulated, scenario),
-            usefulness: usefulness
-                .and_then(|(trace, ego)| measure::UsefulnessMeasures::from_trace(trace, &simulated.impacts, ego)),
-        }
+        let usefulness = simulated
+            .trace
+            .as_ref()
+            .zip(ego)
+            .and_then(|(trace, ego)| measure::UsefulnessMeasures::from_trace(trace, &simulated.impacts, ego));
+        Self { verdict: CaseVerdict::new(simulated, scenario), usefulness }
     }
 }
 
@@ -398,9 +359,9 @@ impl ControllerUsefulness {
         let needless = count(&|one| !one.unnecessary.is_empty());
         // The results of these drives are unknown.
         let unanswered_drives = unanswered[0].as_ref().map_or(0, |runs: &FailedControllerRuns| runs.runs);
-        let (drives_end, danger_ends) =
-            (drives.iter().map(|drive| &drive.verdict), danger.iter().map(|run| &run.verdict));
-        let [in_traffic, in_danger] = [EndCounts::from_verdicts(drives_end), EndCounts::from_verdicts(danger_ends)];
+        let in_traffic = EndCounts::from_verdicts(drives.iter().map(|drive| &drive.verdict));
+        let in_danger = EndCounts::from_verdicts(danger.iter().map(|run| &run.verdict));
+        let percent = |counts, runs: usize| PercentInterval::clopper_pearson(counts, runs as u64, CONFIDENCE);
         Self {
             controller: controller.name.clone(),
             failures: in_traffic.failures,
@@ -410,11 +371,7 @@ impl ControllerUsefulness {
             hit: [in_traffic.hit, in_danger.hit],
             was_hit: [in_traffic.was_hit, in_danger.was_hit],
             unnecessary_braking: needless,
-            unnecessary_braking_percent: PercentInterval::clopper_pearson(
-                [needless, unanswered_drives],
-                drives.len() as u64,
-                CONFIDENCE,
-            ),
+            unnecessary_braking_percent: percent([needless, unanswered_drives], drives.len()),
             unnecessary_braking_s: mean(&|one| Some(one.unnecessary.time_s)),
             hard_braking: count(&|one| !one.hard.is_empty()),
             left_behind: count(&|one| one.following.is_some_and(|following| following.fell_behind)),
@@ -425,11 +382,7 @@ impl ControllerUsefulness {
             rms_jerk_mps3: mean(&|one| one.rms_jerk_mps3),
             induced_brake_mps2: mean(&|one| one.induced.and_then(|imposed| imposed.peak_brake_mps2)),
             string_stability: line,
-            high_risk_percent: PercentInterval::clopper_pearson(
-                [in_danger.failures, in_danger.ended_by_others],
-                danger.len() as u64,
-                CONFIDENCE,
-            ),
+            high_risk_percent: percent([in_danger.failures, in_danger.ended_by_others], danger.len()),
         }
     }
 }
@@ -483,12 +436,9 @@ mod tests {
         let controllers = ["idm", "retrained"].map(str::to_owned).into();
         let config = AssessConfig { controllers, gates: Vec::new(), ..AssessConfig::default() };
         let plan = AssessmentPlan::new(config, [], Path::new("")).unwrap();
-        let found = UsefulnessReport::gather(
-            &plan,
-            &GatherContext::new(&EvidenceCache::disabled(), ProgressCounter::new(&Quiet, None)),
-        )
-        .unwrap()
-        .unwrap();
+        let cache = EvidenceCache::disabled();
+        let work = GatherContext::new(&plan, &cache, ProgressCounter::new(&Quiet, None));
+        let found = UsefulnessReport::gather(&work).unwrap().unwrap();
         let [idm, retrained] = &found.controllers[..] else { panic!("one entry per controller") };
         assert_eq!((idm.failures, idm.unnecessary_braking, idm.hard_braking, retrained.failures), (0, 0, 0, 0));
         assert!(retrained.unnecessary_braking > found.random_scenarios / 2 && retrained.progress < idm.progress);

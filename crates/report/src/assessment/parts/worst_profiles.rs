@@ -93,18 +93,14 @@ impl WorstProfiles {
         Ok(Some((scenario, envelope)))
     }
 
-    pub(in crate::assessment) fn gather(
-        plan: &AssessmentPlan,
-        work: &GatherContext<'_>,
-    ) -> Result<Option<Self>, AssessError> {
+    pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+        let plan = work.plan;
         let Some((scenario, envelope)) = Self::scenario(plan)? else { return Ok(None) };
-        let known = ContentId::from_scenario(SCENARIO, &scenario);
-        let against =
-            |controller: &NamedController| WorstProfile::gather(plan, (&scenario, envelope), controller, work);
+        let against = |controller: &NamedController| WorstProfile::gather((&scenario, envelope), controller, work);
         let profiles = plan.controllers.par_iter().map(against).collect::<Result<Vec<_>, _>>()?;
         Ok(Some(Self {
             scenario: SCENARIO,
-            content_id: known,
+            content_id: ContentId::from_scenario(SCENARIO, &scenario),
             duration_s: scenario.spec().duration_s.into(),
             max_brake_mps2: envelope.max_brake_mps2.into(),
             max_jerk_mps3: envelope.jerk_mps3.into(),
@@ -123,11 +119,8 @@ impl WorstProfiles {
                 None => Strength::from_counts(0, profile.evaluations as u64),
             };
             let claim = AssuranceClaim { subject, property: Property::NoContact, domain: self.domain() };
-            Evidence {
-                claim,
-                strength,
-                source: EvidenceSource::from_part("worst", format!("{} simulations", profile.evaluations)),
-            }
+            let source = EvidenceSource::from_part("worst", format!("{} simulations", profile.evaluations));
+            Evidence { claim, strength, source }
         };
         plan.claim_subjects().into_iter().zip(&self.profiles).map(of).collect()
     }
@@ -204,11 +197,11 @@ impl WorstProfiles {
 
 impl WorstProfile {
     pub(in crate::assessment) fn gather(
-        plan: &AssessmentPlan,
         (scenario, envelope): (&Scenario, Envelope),
         controller: &NamedController,
         work: &GatherContext<'_>,
     ) -> Result<Self, AssessError> {
+        let plan = work.plan;
         let item = format!("worst profile against {}", controller.name);
         // Cached next to the evidence, because published evidence holds only rounded numbers.
         let (mut found, profile): (Self, Option<PiecewiseAcceleration>) =
@@ -233,10 +226,7 @@ impl WorstProfile {
         let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
         let AttackResult { attack: found, evaluations, programs } =
             attack(scenario, &options, AttackObjective::Mildest, envelope, ATTACK_BUDGET, &Quiet)?;
-        let mildest = match found {
-            Some(attack) => MildestAttack::from_attack(attack, controller, plan)?,
-            None => None,
-        };
+        let mildest = found.map(|attack| MildestAttack::from_attack(attack, controller, plan)).transpose()?.flatten();
         let replay = controller_arg(&controller.kind).map(|word| {
             let attack = CrumpleCommand::new(["worst-case", SCENARIO, "--controller", word.as_str()]);
             attack.with_args(plan.estimator_args().iter().copied())
@@ -254,17 +244,17 @@ impl MildestAttack {
         let one = std::slice::from_ref(controller);
         let cases = run_cases(&[&attack.scenario], one, plan.config.estimator, MotionRetention::Drop)?;
         let Some(CaseResult { verdict, pile_up, .. }) = cases.into_iter().flatten().next() else { return Ok(None) };
-        let best = RoundedAvoidance::compute(&attack.scenario);
         let leader = attack.scenario.vehicles().first().map(|leader| &leader.driver);
         let Some(Driver::Profile(LeadProfile::Pieces(profile))) = leader.cloned() else { return Ok(None) };
+        let has_answered = attack.outcome.failed_controller().is_none();
         Ok(Some(Self {
             peak_brake_mps2: attack.peak_brake_mps2.into(),
             effort_m2ps3: attack.effort_m2ps3.into(),
             verdict,
             pile_up,
-            avoidance: best,
-            predicted_margin_m: attack.outcome.failed_controller().is_none().then(|| attack.predicted_margin_m.into()),
-            margin_m: attack.outcome.failed_controller().is_none().then(|| attack.margin_m.into()),
+            avoidance: RoundedAvoidance::compute(&attack.scenario),
+            predicted_margin_m: has_answered.then(|| attack.predicted_margin_m.into()),
+            margin_m: has_answered.then(|| attack.margin_m.into()),
             method: attack.method,
             profile: Some(profile),
         }))

@@ -4,7 +4,9 @@ use maud::{Markup, html};
 
 use super::MildestAttack;
 use crate::assessment::CaseVerdict;
-use crate::draw::{Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, PixelRect, Stroke, Svg};
+use crate::draw::{
+    Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, PixelRect, Stroke, Svg, responsive,
+};
 use crumple_world::scenario::PiecewiseAcceleration;
 
 const HEIGHT: f64 = 96.0;
@@ -17,10 +19,8 @@ pub(super) fn draw_responsive<'a>(
     duration_s: f64,
 ) -> Markup {
     let profiles: Vec<_> = profiles.collect();
-    html! {
-        div.draw-wide { (draw(&profiles, duration_s, "worst-profiles-wide", 720.0, 2)) }
-        div.draw-narrow { (draw(&profiles, duration_s, "worst-profiles-narrow", 360.0, 1)) }
-    }
+    let drawn = |prefix: &str, width: f64, columns: usize| draw(&profiles, duration_s, prefix, width, columns);
+    responsive(&drawn("worst-profiles-wide", 720.0, 2), &drawn("worst-profiles-narrow", 360.0, 1))
 }
 
 fn draw(profiles: &[(&str, &MildestAttack)], duration_s: f64, prefix: &str, width: f64, columns: usize) -> Svg {

@@ -62,14 +62,11 @@ fn scripted_action(
         LeadProfile::RampBrake(_) | LeadProfile::Pieces(_) | LeadProfile::Recorded(_) => {
             let why = |why: String| OpenScenarioError::Script { vehicle: index, why };
             let alone = isolate_vehicle(scenario, index).map_err(why)?;
-            let trace = {
-                let run = Run::new(&alone, RunOptions::new(ControllerSpec::MatchLeader(Default::default())))
-                    .map_err(|error| why(error.to_string()))?;
-                simulate(&run, RecordingLevel::Trace).trace
-            };
-            let (time_s, speed_mps) = trace
-                .and_then(|trace| Some((trace.time_s, trace.vehicles.into_iter().next()?.speed_mps)))
-                .unwrap_or_default();
+            let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default()));
+            let run = Run::new(&alone, options).map_err(|error| why(error.to_string()))?;
+            let trace = simulate(&run, RecordingLevel::Trace).trace;
+            let motion = trace.and_then(|trace| Some((trace.time_s, trace.vehicles.into_iter().next()?.speed_mps)));
+            let (time_s, speed_mps) = motion.unwrap_or_default();
             let kept = simplify_polyline(&time_s, &speed_mps, PROFILE_TOLERANCE_MPS, |_| None);
             let mut before_s = 0.0;
             let entries = kept.into_iter().filter_map(|sample| {
@@ -87,12 +84,8 @@ fn isolate_vehicle(scenario: &Scenario, index: usize) -> Result<Scenario, String
         let Some(mut scripted) = spec.vehicles.get(index).cloned() else { return };
         scripted.acceleration_noise_mps2 = 0.0;
         scripted.position_m = 0.0;
-        let mut standing = VehicleSpec::new(
-            scripted.class,
-            DUMMY_FOLLOWER_POSITION_M,
-            0.0,
-            Driver::Profile(LeadProfile::ConstantSpeed),
-        );
+        let still = Driver::Profile(LeadProfile::ConstantSpeed);
+        let mut standing = VehicleSpec::new(scripted.class, DUMMY_FOLLOWER_POSITION_M, 0.0, still);
         standing.length_m = scripted.length_m;
         spec.vehicles = vec![scripted, standing];
     });
@@ -100,15 +93,9 @@ fn isolate_vehicle(scenario: &Scenario, index: usize) -> Result<Scenario, String
 }
 
 impl ScriptedVehicle {
-    pub(super) fn max_speed_mps(&self) -> f64 {
-        match &self.action {
-            ScriptedAction::Profile(entries) => entries.iter().map(|&(_, mps)| mps).fold(0.0, f64::max),
-            _ => 0.0,
-        }
-    }
-
-    pub(super) fn profile_entry_count(&self) -> usize {
-        if let ScriptedAction::Profile(entries) = &self.action { entries.len() } else { 0 }
+    /// Returns the entries of the speed profile; empty for another action.
+    pub(super) fn profile(&self) -> &[(f64, f64)] {
+        if let ScriptedAction::Profile(entries) = &self.action { entries } else { &[] }
     }
 }
 
@@ -134,11 +121,8 @@ impl VehicleManeuver for ScriptedVehicle {
             ScriptedAction::Profile(entries) => {
                 write_element(xml, "SpeedProfileAction", &[("followingMode", "position")], |xml| {
                     entries.iter().try_for_each(|&(after_s, mps)| {
-                        write_empty_element(
-                            xml,
-                            "SpeedProfileEntry",
-                            &[("time", &format_number(after_s)), ("speed", &format_number(mps))],
-                        )
+                        let (time, speed) = (format_number(after_s), format_number(mps));
+                        write_empty_element(xml, "SpeedProfileEntry", &[("time", &time), ("speed", &speed)])
                     })
                 })
             }

@@ -10,18 +10,12 @@ pub(super) const REAR_OVERHANG_SHARE: f64 = 0.2;
 /// Maximum initial speed of a scenario, in m/s.
 const MAX_SPEED_MPS: f64 = 100.0;
 
-/// The shape of a vehicle class, which crumple does not model: a mid-size car, and a lorry of the maximum legal width.
-struct VehicleShape {
-    category: &'static str,
-    width_m: f64,
-    height_m: f64,
-    wheel_diameter_m: f64,
-}
-
-fn vehicle_shape(class: VehicleClass) -> VehicleShape {
+/// Returns the category of a vehicle class, and its width, height and wheel diameter in metres. crumple does not model
+/// them: a mid-size car, and a lorry of the maximum legal width.
+fn vehicle_shape(class: VehicleClass) -> (&'static str, [f64; 3]) {
     match class {
-        VehicleClass::Light => VehicleShape { category: "car", width_m: 1.8, height_m: 1.5, wheel_diameter_m: 0.65 },
-        VehicleClass::Heavy => VehicleShape { category: "truck", width_m: 2.5, height_m: 3.5, wheel_diameter_m: 1.0 },
+        VehicleClass::Light => ("car", [1.8, 1.5, 0.65]),
+        VehicleClass::Heavy => ("truck", [2.5, 3.5, 1.0]),
     }
 }
 
@@ -39,11 +33,11 @@ pub(super) fn write_entities(xml: &mut Xml, scenario: &Scenario, with_controller
             write_element(xml, "ScenarioObject", &[("name", &entity_name(index))], |xml| {
                 write_vehicle(xml, vehicle)?;
                 match controller_name(vehicle) {
-                    Some(name) if with_controllers => write_element(xml, "ObjectController", &[], |xml| {
-                        write_element(xml, "Controller", &[("name", &attribute_text(name))], |xml| {
+                    Some(name) if with_controllers => {
+                        write_element(xml, "ObjectController/Controller", &[("name", &attribute_text(name))], |xml| {
                             write_empty_element(xml, "Properties", &[])
                         })
-                    }),
+                    }
                     _ => Ok(()),
                 }
             })?;
@@ -53,13 +47,13 @@ pub(super) fn write_entities(xml: &mut Xml, scenario: &Scenario, with_controller
 }
 
 fn write_vehicle(xml: &mut Xml, vehicle: &VehicleSpec) -> io::Result<()> {
-    let body = vehicle_shape(vehicle.class);
+    let (category, [width_m, height_m, wheel_m]) = vehicle_shape(vehicle.class);
     let length_m = vehicle.length_m();
     let (length, mass) = (format_number(length_m), format_number(vehicle.mass_kg()));
     let wheelbase = format_number(length_m * (1.0 - 2.0 * REAR_OVERHANG_SHARE));
-    let [width, height, half_height] = [body.width_m, body.height_m, body.height_m / 2.0].map(format_number);
-    let [diameter, axle_height] = [body.wheel_diameter_m, body.wheel_diameter_m / 2.0].map(format_number);
-    let named = [("name", vehicle.class.name()), ("vehicleCategory", body.category), ("mass", &mass)];
+    let [width, height, half_height] = [width_m, height_m, height_m / 2.0].map(format_number);
+    let [diameter, axle_height] = [wheel_m, wheel_m / 2.0].map(format_number);
+    let named = [("name", vehicle.class.name()), ("vehicleCategory", category), ("mass", &mass)];
     write_element(xml, "Vehicle", &named, |xml| {
         write_element(xml, "BoundingBox", &[], |xml| {
             let middle = format_number(length_m * (0.5 - REAR_OVERHANG_SHARE));
@@ -76,13 +70,8 @@ fn write_vehicle(xml: &mut Xml, vehicle: &VehicleSpec) -> io::Result<()> {
             axle(xml, "FrontAxle", "0.5", &wheelbase)?;
             axle(xml, "RearAxle", "0", "0")
         })?;
-        write_element(xml, "Properties", &[], |xml| {
-            write_empty_element(
-                xml,
-                "Property",
-                &[("name", "driver"), ("value", &attribute_text(vehicle.driver.name()))],
-            )
-        })
+        let driver = attribute_text(vehicle.driver.name());
+        write_empty_element(xml, "Properties/Property", &[("name", "driver"), ("value", &driver)])
     })
 }
 

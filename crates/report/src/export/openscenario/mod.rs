@@ -16,7 +16,7 @@ mod storyboard;
 use std::io;
 
 use quick_xml::Writer;
-use quick_xml::events::{BytesDecl, Event};
+use quick_xml::events::{BytesDecl, BytesEnd, BytesStart, Event};
 
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::Trace;
@@ -87,15 +87,13 @@ pub fn export_trajectories(
     road: &str,
 ) -> Result<OpenScenario, OpenScenarioError> {
     check_single_lane(scenario)?;
-    let kept: Vec<Vec<usize>> =
-        trace.vehicles.iter().map(|track| polyline::vertex_indices(&trace.time_s, track)).collect();
-    let vertices = check_vertex_count(kept.iter().map(Vec::len).sum())?;
     let end_s = trace.time_s.last().copied().unwrap_or(0.0);
-    let moves: Vec<_> = kept
-        .iter()
-        .enumerate()
-        .map(|(index, kept)| polyline::Trajectory { index, trace, vertex_indices: kept, end_s })
-        .collect();
+    let trajectory = |(index, track)| {
+        let vertex_indices = polyline::vertex_indices(&trace.time_s, track);
+        polyline::Trajectory { index, trace, vertex_indices, end_s }
+    };
+    let moves: Vec<_> = trace.vehicles.iter().enumerate().map(trajectory).collect();
+    let vertices = check_vertex_count(moves.iter().map(|one| one.vertex_indices.len()).sum())?;
     let under = controller.map_or_else(String::new, |controller| format!(" under `{controller}`"));
     let about = &format!("what every vehicle did{under}, as trajectories");
     let file = storyboard::OpenScenarioFile { scenario, road, about, end_s, uses_controllers: false };
@@ -117,9 +115,9 @@ pub fn export_trajectories(
 pub fn export_actions(scenario: &Scenario, road: &str) -> Result<OpenScenario, OpenScenarioError> {
     check_single_lane(scenario)?;
     let moves = actions::scripted_vehicles(scenario)?;
-    let vertices = check_vertex_count(moves.iter().map(actions::ScriptedVehicle::profile_entry_count).sum())?;
+    let vertices = check_vertex_count(moves.iter().map(|one| one.profile().len()).sum())?;
     let end_s = scenario.spec().duration_s;
-    let scripts_mps = moves.iter().map(actions::ScriptedVehicle::max_speed_mps).fold(0.0, f64::max);
+    let scripts_mps = moves.iter().flat_map(|one| one.profile()).map(|(_, mps)| *mps).fold(0.0, f64::max);
     let about = "what the scripted vehicles do; the others are left to controllers";
     let file = storyboard::OpenScenarioFile { scenario, road, about, end_s, uses_controllers: true };
     Ok(OpenScenario {
@@ -142,19 +140,32 @@ fn write_document(content: impl FnOnce(&mut Xml) -> io::Result<()>) -> io::Resul
     Ok(text)
 }
 
+/// Writes an element. `path` is its name, after those of the elements around it that have no attributes and no other
+/// content.
 fn write_element(
     xml: &mut Xml,
-    name: &str,
+    path: &str,
     attributes: &[(&str, &str)],
     content: impl FnOnce(&mut Xml) -> io::Result<()>,
 ) -> io::Result<()> {
-    xml.create_element(name).with_attributes(attributes.iter().copied()).write_inner_content(content)?;
-    Ok(())
+    write_inside(xml, path, |xml, name| {
+        xml.create_element(name).with_attributes(attributes.iter().copied()).write_inner_content(content).map(drop)
+    })
 }
 
-fn write_empty_element(xml: &mut Xml, name: &str, attributes: &[(&str, &str)]) -> io::Result<()> {
-    xml.create_element(name).with_attributes(attributes.iter().copied()).write_empty()?;
-    Ok(())
+/// Writes an element without content, as [`write_element`] does.
+fn write_empty_element(xml: &mut Xml, path: &str, attributes: &[(&str, &str)]) -> io::Result<()> {
+    write_inside(xml, path, |xml, name| {
+        xml.create_element(name).with_attributes(attributes.iter().copied()).write_empty().map(drop)
+    })
+}
+
+fn write_inside(xml: &mut Xml, path: &str, write: impl FnOnce(&mut Xml, &str) -> io::Result<()>) -> io::Result<()> {
+    let (around, name) = path.rsplit_once('/').unwrap_or(("", path));
+    let around: Vec<&str> = around.split('/').filter(|name| !name.is_empty()).collect();
+    around.iter().try_for_each(|name| xml.write_event(Event::Start(BytesStart::new(*name))))?;
+    write(xml, name)?;
+    around.iter().rev().try_for_each(|name| xml.write_event(Event::End(BytesEnd::new(*name))))
 }
 
 /// Formats a number with at most nine decimals, more than any position needs.

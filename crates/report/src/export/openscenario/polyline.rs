@@ -72,7 +72,7 @@ pub(super) fn simplify_polyline(
 pub(super) struct Trajectory<'a> {
     pub(super) index: usize,
     pub(super) trace: &'a Trace,
-    pub(super) vertex_indices: &'a [usize],
+    pub(super) vertex_indices: Vec<usize>,
     pub(super) end_s: f64,
 }
 
@@ -86,28 +86,14 @@ impl VehicleManeuver for Trajectory<'_> {
     }
 
     fn write_action(&self, xml: &mut Xml) -> io::Result<()> {
-        let following = |xml: &mut Xml| {
-            write_element(xml, "TimeReference", &[], |xml| {
-                write_empty_element(
-                    xml,
-                    "Timing",
-                    &[("domainAbsoluteRelative", "absolute"), ("scale", "1"), ("offset", "0")],
-                )
-            })?;
-            write_empty_element(xml, "TrajectoryFollowingMode", &[("followingMode", "position")])
-        };
         let name = format!("{}_path", super::entity_name(self.index));
-        write_element(xml, "RoutingAction", &[], |xml| {
-            write_element(xml, "FollowTrajectoryAction", &[], |xml| {
-                write_element(xml, "TrajectoryRef", &[], |xml| {
-                    write_element(xml, "Trajectory", &[("name", &name), ("closed", "false")], |xml| {
-                        write_element(xml, "Shape", &[], |xml| {
-                            write_element(xml, "Polyline", &[], |xml| self.write_vertices(xml))
-                        })
-                    })
-                })?;
-                following(xml)
-            })
+        let absolute = [("domainAbsoluteRelative", "absolute"), ("scale", "1"), ("offset", "0")];
+        write_element(xml, "RoutingAction/FollowTrajectoryAction", &[], |xml| {
+            write_element(xml, "TrajectoryRef/Trajectory", &[("name", &name), ("closed", "false")], |xml| {
+                write_element(xml, "Shape/Polyline", &[], |xml| self.write_vertices(xml))
+            })?;
+            write_empty_element(xml, "TimeReference/Timing", &absolute)?;
+            write_empty_element(xml, "TrajectoryFollowingMode", &[("followingMode", "position")])
         })
     }
 }

@@ -43,45 +43,30 @@ fn straight_road(
 
 fn write_road(xml: &mut Xml, name: &str, from_m: f64, length: &str) -> io::Result<()> {
     write_element(xml, "OpenDRIVE", &[], |xml| {
-        write_empty_element(
-            xml,
-            "header",
-            &[("revMajor", "1"), ("revMinor", "7"), ("name", name), ("vendor", "crumple")],
-        )?;
+        let header = [("revMajor", "1"), ("revMinor", "7"), ("name", name), ("vendor", "crumple")];
+        write_empty_element(xml, "header", &header)?;
         // The identifier is a number, because some tools require one.
-        write_element(
-            xml,
-            "road",
-            &[("name", "road"), ("length", length), ("id", "1"), ("junction", "-1"), ("rule", "RHT")],
-            |xml| {
-                write_element(xml, "planView", &[], |xml| {
-                    // The right-hand lane is below the reference line, so that y = 0 is its middle.
-                    let (x, y) = (format_number(from_m), format_number(LANE_WIDTH_M / 2.0));
-                    let start = [("s", "0"), ("x", &x), ("y", &y), ("hdg", "0"), ("length", length)];
-                    write_element(xml, "geometry", &start, |xml| write_empty_element(xml, "line", &[]))
-                })?;
-                write_element(xml, "lanes", &[], |xml| write_element(xml, "laneSection", &[("s", "0")], write_lanes))
-            },
-        )
+        let road = [("name", "road"), ("length", length), ("id", "1"), ("junction", "-1"), ("rule", "RHT")];
+        write_element(xml, "road", &road, |xml| {
+            // The right-hand lane is below the reference line, so that y = 0 is its middle.
+            let (x, y) = (format_number(from_m), format_number(LANE_WIDTH_M / 2.0));
+            let start = [("s", "0"), ("x", &x), ("y", &y), ("hdg", "0"), ("length", length)];
+            write_element(xml, "planView/geometry", &start, |xml| write_empty_element(xml, "line", &[]))?;
+            write_element(xml, "lanes/laneSection", &[("s", "0")], write_lanes)
+        })
     })
 }
 
 fn write_lanes(xml: &mut Xml) -> io::Result<()> {
-    let mark = |kind| {
-        move |xml: &mut Xml| {
-            let solid =
-                [("sOffset", "0"), ("type", kind), ("weight", "standard"), ("color", "standard"), ("width", "0.15")];
-            write_empty_element(xml, "roadMark", &solid)
-        }
+    let mark = |xml: &mut Xml| {
+        let solid =
+            [("sOffset", "0"), ("type", "solid"), ("weight", "standard"), ("color", "standard"), ("width", "0.15")];
+        write_empty_element(xml, "roadMark", &solid)
     };
-    write_element(xml, "center", &[], |xml| {
-        write_element(xml, "lane", &[("id", "0"), ("type", "none"), ("level", "false")], mark("solid"))
-    })?;
-    write_element(xml, "right", &[], |xml| {
-        write_element(xml, "lane", &[("id", "-1"), ("type", "driving"), ("level", "false")], |xml| {
-            let width = format_number(LANE_WIDTH_M);
-            write_empty_element(xml, "width", &[("sOffset", "0"), ("a", &width), ("b", "0"), ("c", "0"), ("d", "0")])?;
-            mark("solid")(xml)
-        })
+    write_element(xml, "center/lane", &[("id", "0"), ("type", "none"), ("level", "false")], mark)?;
+    write_element(xml, "right/lane", &[("id", "-1"), ("type", "driving"), ("level", "false")], |xml| {
+        let width = format_number(LANE_WIDTH_M);
+        write_empty_element(xml, "width", &[("sOffset", "0"), ("a", &width), ("b", "0"), ("c", "0"), ("d", "0")])?;
+        mark(xml)
     })
 }

@@ -35,51 +35,34 @@ impl OpenScenarioFile<'_> {
             write_empty_element(xml, "FileHeader", &[&[("revMajor", "1"), ("revMinor", "2")], &made[..]].concat())?;
             write_empty_element(xml, "ParameterDeclarations", &[])?;
             write_empty_element(xml, "CatalogLocations", &[])?;
-            write_element(xml, "RoadNetwork", &[], |xml| {
-                write_empty_element(xml, "LogicFile", &[("filepath", self.road)])
-            })?;
+            write_empty_element(xml, "RoadNetwork/LogicFile", &[("filepath", self.road)])?;
             entities::write_entities(xml, self.scenario, self.uses_controllers)?;
             write_element(xml, "Storyboard", &[], |xml| {
-                write_element(xml, "Init", &[], |xml| write_element(xml, "Actions", &[], |xml| self.write_init(xml)))?;
+                write_element(xml, "Init/Actions", &[], |xml| self.write_init(xml))?;
                 write_story(xml, moves)?;
-                write_element(xml, "StopTrigger", &[], |xml| write_time_trigger(xml, "over", "greaterThan", self.end_s))
+                write_time_trigger(xml, "StopTrigger", "over", "greaterThan", self.end_s)
             })
         })
     }
 
     fn write_init(&self, xml: &mut Xml) -> io::Result<()> {
         let friction = format_number(self.scenario.spec().environment.friction);
-        write_element(xml, "GlobalAction", &[], |xml| {
-            write_element(xml, "EnvironmentAction", &[], |xml| {
-                write_element(xml, "Environment", &[("name", "road")], |xml| {
-                    write_empty_element(xml, "RoadCondition", &[("frictionScaleFactor", &friction)])
-                })
-            })
+        write_element(xml, "GlobalAction/EnvironmentAction/Environment", &[("name", "road")], |xml| {
+            write_empty_element(xml, "RoadCondition", &[("frictionScaleFactor", &friction)])
         })?;
         for (index, vehicle) in self.scenario.vehicles().iter().enumerate() {
             write_element(xml, "Private", &[("entityRef", &entity_name(index))], |xml| {
-                write_element(xml, "PrivateAction", &[], |xml| {
-                    write_element(xml, "TeleportAction", &[], |xml| {
-                        write_position(xml, reference_point_m(vehicle.position_m, vehicle.length_m()))
-                    })
-                })?;
-                write_element(xml, "PrivateAction", &[], |xml| {
-                    write_element(xml, "LongitudinalAction", &[], |xml| {
-                        write_speed_action(xml, ("step", "time", 0.0), vehicle.speed_mps)
-                    })
+                let x = format_number(reference_point_m(vehicle.position_m, vehicle.length_m()));
+                let position = "PrivateAction/TeleportAction/Position/WorldPosition";
+                write_empty_element(xml, position, &[("x", &x), ("y", "0")])?;
+                write_element(xml, "PrivateAction/LongitudinalAction", &[], |xml| {
+                    write_speed_action(xml, ("step", "time", 0.0), vehicle.speed_mps)
                 })?;
                 if !self.uses_controllers || entities::controller_name(vehicle).is_none() {
                     return Ok(());
                 }
-                write_element(xml, "PrivateAction", &[], |xml| {
-                    write_element(xml, "ControllerAction", &[], |xml| {
-                        write_empty_element(
-                            xml,
-                            "ActivateControllerAction",
-                            &[("longitudinal", "true"), ("lateral", "true")],
-                        )
-                    })
-                })
+                let activate = "PrivateAction/ControllerAction/ActivateControllerAction";
+                write_empty_element(xml, activate, &[("longitudinal", "true"), ("lateral", "true")])
             })?;
         }
         Ok(())
@@ -96,49 +79,31 @@ fn write_story(xml: &mut Xml, moves: &[impl VehicleManeuver]) -> io::Result<()> 
             for (one, (name, from_s)) in moving() {
                 let entity = entity_name(one.vehicle_index());
                 let named = |what: &str| format!("{entity}_{what}");
-                write_element(
-                    xml,
-                    "ManeuverGroup",
-                    &[("maximumExecutionCount", "1"), ("name", &named("group"))],
-                    |xml| {
-                        write_element(xml, "Actors", &[("selectTriggeringEntities", "false")], |xml| {
-                            write_empty_element(xml, "EntityRef", &[("entityRef", &entity)])
-                        })?;
-                        write_element(xml, "Maneuver", &[("name", &named("maneuver"))], |xml| {
-                            write_element(xml, "Event", &[("name", &named("event")), ("priority", "override")], |xml| {
-                                write_element(xml, "Action", &[("name", &named(name))], |xml| {
-                                    write_element(xml, "PrivateAction", &[], |xml| one.write_action(xml))
-                                })?;
-                                write_element(xml, "StartTrigger", &[], |xml| {
-                                    write_time_trigger(xml, &named("starts"), "greaterOrEqual", from_s)
-                                })
-                            })
+                let group = [("maximumExecutionCount", "1"), ("name", &*named("group"))];
+                write_element(xml, "ManeuverGroup", &group, |xml| {
+                    write_element(xml, "Actors", &[("selectTriggeringEntities", "false")], |xml| {
+                        write_empty_element(xml, "EntityRef", &[("entityRef", &entity)])
+                    })?;
+                    write_element(xml, "Maneuver", &[("name", &named("maneuver"))], |xml| {
+                        write_element(xml, "Event", &[("name", &named("event")), ("priority", "override")], |xml| {
+                            write_element(xml, "Action", &[("name", &named(name))], |xml| {
+                                write_element(xml, "PrivateAction", &[], |xml| one.write_action(xml))
+                            })?;
+                            write_time_trigger(xml, "StartTrigger", &named("starts"), "greaterOrEqual", from_s)
                         })
-                    },
-                )?;
+                    })
+                })?;
             }
-            write_element(xml, "StartTrigger", &[], |xml| write_time_trigger(xml, "begin", "greaterOrEqual", 0.0))
+            write_time_trigger(xml, "StartTrigger", "begin", "greaterOrEqual", 0.0)
         })
     })
 }
 
-fn write_time_trigger(xml: &mut Xml, name: &str, rule: &str, time_s: f64) -> io::Result<()> {
-    write_element(xml, "ConditionGroup", &[], |xml| {
-        write_element(xml, "Condition", &[("name", name), ("delay", "0"), ("conditionEdge", "none")], |xml| {
-            write_element(xml, "ByValueCondition", &[], |xml| {
-                write_empty_element(
-                    xml,
-                    "SimulationTimeCondition",
-                    &[("value", &format_number(time_s)), ("rule", rule)],
-                )
-            })
-        })
-    })
-}
-
-fn write_position(xml: &mut Xml, x_m: f64) -> io::Result<()> {
-    write_element(xml, "Position", &[], |xml| {
-        write_empty_element(xml, "WorldPosition", &[("x", &format_number(x_m)), ("y", "0")])
+fn write_time_trigger(xml: &mut Xml, trigger: &str, name: &str, rule: &str, time_s: f64) -> io::Result<()> {
+    let condition = [("name", name), ("delay", "0"), ("conditionEdge", "none")];
+    write_element(xml, &format!("{trigger}/ConditionGroup/Condition"), &condition, |xml| {
+        let time = [("value", &*format_number(time_s)), ("rule", rule)];
+        write_empty_element(xml, "ByValueCondition/SimulationTimeCondition", &time)
     })
 }
 
@@ -151,8 +116,7 @@ pub(super) fn write_speed_action(
     write_element(xml, "SpeedAction", &[], |xml| {
         let dynamics = [("dynamicsShape", shape), ("dynamicsDimension", dimension), ("value", &format_number(value))];
         write_empty_element(xml, "SpeedActionDynamics", &dynamics)?;
-        write_element(xml, "SpeedActionTarget", &[], |xml| {
-            write_empty_element(xml, "AbsoluteTargetSpeed", &[("value", &format_number(target_mps))])
-        })
+        let target = format_number(target_mps);
+        write_empty_element(xml, "SpeedActionTarget/AbsoluteTargetSpeed", &[("value", &target)])
     })
 }

@@ -186,6 +186,15 @@ pub(in crate::falsify) fn with_reference_methods(requested: &Method) -> Vec<Meth
 }
 
 impl Campaign {
+    #[cfg(test)]
+    pub(in crate::falsify) fn of_match_leader(space: &str, method: Method, budget: u64, seed: u64) -> Self {
+        use crumple_world::control::ControllerSpec;
+        use crumple_world::scenario::space::built_in_space;
+        let controller = ControllerSpec::from_name("match-leader").unwrap();
+        let campaign = Self::new(controller, built_in_space(space).unwrap());
+        Self { estimator: EstimatorKind::Truth, method, budget, seed, ..campaign }
+    }
+
     /// Creates the default campaign: a search for collisions by `auto`, 2000 evaluations, Kalman filter, seed 0.
     #[must_use]
     pub fn new(controller: impl Into<NamedController>, space: ScenarioSpace) -> Self {

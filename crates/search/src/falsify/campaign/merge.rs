@@ -93,12 +93,6 @@ impl MergedCampaign {
         self.parts.missing_shards()
     }
 
-    /// Returns the number of distinct shards, and of duplicates.
-    #[must_use]
-    pub fn shard_counts(&self) -> (u64, u64) {
-        (self.parts.shard_count(), self.parts.duplicates())
-    }
-
     /// Returns the division of the campaign, if it differs from the undivided campaign.
     fn sharding(&self) -> Option<Sharding> {
         let missing = self.missing_ranges();

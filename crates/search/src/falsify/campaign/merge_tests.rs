@@ -16,21 +16,12 @@ use crate::falsify::Method;
 use crumple_core::observer::{Observer, Quiet};
 use crumple_store::run_folder::{RunState, read_state};
 use crumple_store::shard::{MergeError, ShardId, open_shard};
-use crumple_world::control::ControllerSpec;
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::built_in_space;
 
 const BUDGET: u64 = 40;
 const MAX_TEST_SHARDS: u32 = 4;
 
 fn campaign(method: Method, seed: u64) -> Campaign {
-    Campaign {
-        estimator: EstimatorKind::Truth,
-        method,
-        budget: BUDGET,
-        seed,
-        ..Campaign::new(ControllerSpec::from_name("match-leader").unwrap(), built_in_space("high-risk").unwrap())
-    }
+    Campaign::of_match_leader("high-risk", method, BUDGET, seed)
 }
 
 fn summary_only(resume: bool) -> CampaignOptions {

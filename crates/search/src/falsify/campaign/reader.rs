@@ -41,7 +41,7 @@ enum ReaderStage {
 }
 
 /// State of the search that is run again.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 struct JournalTail {
     identity: String,
     method: usize,
@@ -72,15 +72,8 @@ impl CampaignReader {
                 let bytes =
                     disk::read(&path, MAX_CONFIGURATION_BYTES)?.ok_or_else(|| RunFolderError::missing(&path))?;
                 let text = String::from_utf8(bytes).map_err(|error| damaged(CONFIGURATION_FILE, error.to_string()))?;
-                let following = JournalTail {
-                    identity: run_folder::identity(CAMPAIGN_KIND, &text)?,
-                    method: 0,
-                    search: None,
-                    evaluation_count: 0,
-                    pending_points: Vec::new(),
-                    pending_costs: Vec::new(),
-                };
-                (text, ReaderStage::Running(following))
+                let identity = run_folder::identity(CAMPAIGN_KIND, &text)?;
+                (text, ReaderStage::Running(JournalTail { identity, ..JournalTail::default() }))
             }
             RunState::Complete(finished) if finished.kind() == CAMPAIGN_KIND => {
                 let text = finished.read_configuration(CONFIGURATION_FILE)?;
@@ -282,14 +275,7 @@ impl JournalTail {
         }
         let point = self.pending_points.get(self.pending_costs.len())?.clone();
         self.evaluation_count += 1;
-        let evaluated = EvaluatedPoint {
-            number: self.evaluation_count,
-            values: terms.space.values(&point),
-            ln_likelihood: terms.space.ln_likelihood(&point),
-            distance_from_nominal: terms.distance_from_nominal(&point),
-            point,
-            verdict,
-        };
+        let evaluated = terms.evaluated_point(self.evaluation_count, point, verdict);
         self.pending_costs.push(terms.record.objective.cost(&evaluated));
         Some((method, evaluated))
     }
@@ -300,8 +286,6 @@ mod tests {
     use super::*;
     use crate::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress, SearchObjective};
     use crumple_core::observer::{Listener, Quiet};
-    use crumple_world::control::ControllerSpec;
-    use crumple_world::scenario::space::built_in_space;
     use std::fs;
     use std::sync::Mutex;
 
@@ -317,14 +301,7 @@ mod tests {
             (Method::CmaEs, SearchObjective::Severest, "high-risk"),
             (Method::Uniform, SearchObjective::Severest, "paper"),
         ] {
-            let campaign = Campaign {
-                estimator: EstimatorKind::Truth,
-                method,
-                objective: aim,
-                budget: 300,
-                seed: 7,
-                ..Campaign::new(ControllerSpec::from_name("match-leader").unwrap(), built_in_space(space).unwrap())
-            };
+            let campaign = Campaign { objective: aim, ..Campaign::of_match_leader(space, method, 300, 7) };
             let parent = tempfile::tempdir().unwrap();
             let folder = parent.path().join("campaign");
             assert!(CampaignReader::open(&folder).is_err());
@@ -373,13 +350,7 @@ mod tests {
     /// Every later request reports the damage, too, until the table is restored.
     #[test]
     fn damage_stays_visible_as_long_as_it_is_there() {
-        let campaign = Campaign {
-            estimator: EstimatorKind::Truth,
-            method: Method::Uniform,
-            budget: 40,
-            seed: 7,
-            ..Campaign::new(ControllerSpec::from_name("match-leader").unwrap(), built_in_space("high-risk").unwrap())
-        };
+        let campaign = Campaign::of_match_leader("high-risk", Method::Uniform, 40, 7);
         let folder = tempfile::tempdir().unwrap();
         campaign.run(folder.path(), CampaignOptions::default(), &Quiet).unwrap();
         let table = fs::read_dir(folder.path().join("evaluations")).unwrap().next().unwrap().unwrap().path();

@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use super::config::{CampaignRecord, with_reference_methods};
-use super::{CAMPAIGN_VERSION, Campaign, CampaignError, EvaluationLog};
+use super::{CAMPAIGN_VERSION, Campaign, CampaignError, EvaluatedPoint, EvaluationLog};
 use crate::falsify::{Method, UnitCube};
-use crumple_world::measure::Specification;
+use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::ScenarioSpace;
 
@@ -69,6 +69,17 @@ impl ResolvedConfig {
 
     pub(super) fn methods(&self) -> Vec<Method> {
         with_reference_methods(&self.record.method)
+    }
+
+    pub(super) fn evaluated_point(&self, number: u64, point: Vec<f64>, verdict: RunVerdict) -> EvaluatedPoint {
+        EvaluatedPoint {
+            number,
+            values: self.space.values(&point),
+            ln_likelihood: self.space.ln_likelihood(&point),
+            distance_from_nominal: self.distance_from_nominal(&point),
+            point,
+            verdict,
+        }
     }
 
     pub(in crate::falsify) fn distance_from_nominal(&self, point: &[f64]) -> f64 {

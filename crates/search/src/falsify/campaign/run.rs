@@ -8,7 +8,7 @@ use super::journal::Journal;
 use super::resolved_config::ResolvedConfig;
 use super::summary::CampaignSummary;
 use super::table::EvaluationTable;
-use super::{Campaign, CampaignError, CampaignOptions, EvaluatedPoint, EvaluationLog};
+use super::{Campaign, CampaignError, CampaignOptions, EvaluationLog};
 use crate::falsify::Method;
 use crate::falsify::counterexample::{Examiner, Recorder};
 use crumple_core::observer::Observer;
@@ -205,14 +205,8 @@ impl CampaignRun<'_> {
             }
             let mut costs = Vec::with_capacity(points.len());
             for (point, verdict) in points.into_iter().zip(verdicts) {
-                let evaluated = EvaluatedPoint {
-                    number: self.evaluation_range.start + reached.evaluations + 1,
-                    values: space.values(&point),
-                    ln_likelihood: space.ln_likelihood(&point),
-                    distance_from_nominal: terms.distance_from_nominal(&point),
-                    point,
-                    verdict,
-                };
+                let number = self.evaluation_range.start + reached.evaluations + 1;
+                let evaluated = terms.evaluated_point(number, point, verdict);
                 costs.push(self.campaign.objective.cost(&evaluated));
                 self.findings.add(&mut reached, &evaluated);
                 if let Some(table) = &mut self.table {

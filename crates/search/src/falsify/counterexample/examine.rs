@@ -150,12 +150,9 @@ fn tidy(spec: &mut ScenarioSpec) {
         vehicle.mass_kg.iter_mut().chain(&mut vehicle.max_brake_mps2).for_each(round);
         if let Driver::Profile(LeadProfile::Pieces(pieces)) = &mut vehicle.driver {
             pieces.from_s.iter_mut().chain(&mut pieces.accel_mps2).for_each(round);
-            let mut before = None;
-            let keep: Vec<bool> = pieces.accel_mps2.iter().map(|&accel| before.replace(accel) != Some(accel)).collect();
-            let mut kept = keep.iter();
-            pieces.from_s.retain(|_| kept.next().copied().unwrap_or(true));
-            let mut kept = keep.iter();
-            pieces.accel_mps2.retain(|_| kept.next().copied().unwrap_or(true));
+            let mut kept: Vec<(f64, f64)> = pieces.from_s.drain(..).zip(pieces.accel_mps2.drain(..)).collect();
+            kept.dedup_by_key(|(_, accel)| *accel);
+            (pieces.from_s, pieces.accel_mps2) = kept.into_iter().unzip();
         }
     }
 }

@@ -1,6 +1,6 @@
 //! Recorded verdicts of scenario files and controllers, and their replay.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
@@ -255,14 +255,3 @@ impl ExpectedVerdict {
 
 /// Divisor of the scenario's step. A failure that disappears at this finer step is `dt_fragile`.
 pub(super) const FINER_STEP_DIVISOR: u32 = 10;
-
-impl ExpectedFile {
-    /// Returns the paths of all scenario files, each once.
-    #[must_use]
-    pub fn scenario_paths(&self, folder: &Path) -> Vec<PathBuf> {
-        let mut paths: Vec<PathBuf> = self.expected.iter().map(|expected| folder.join(&expected.scenario)).collect();
-        paths.sort();
-        paths.dedup();
-        paths
-    }
-}

@@ -172,7 +172,7 @@ impl Recorder<'_> {
     fn severity(&self, one: &ExaminedFailure) -> Severity {
         let goes_by_violation = self.config.specification != Specification::NoContact || one.verdict.failure.is_some();
         Severity {
-            violation: goes_by_violation.then_some(-one.verdict.robustness),
+            violation: if goes_by_violation { -one.verdict.robustness } else { 0.0 },
             impact_speed_mps: one.verdict.contact.map_or(0.0, |contact| contact.impact_speed_mps),
             max_delta_v_mps: one.max_delta_v_mps.unwrap_or(0.0),
             vehicles_involved: one.vehicles_involved,
@@ -231,11 +231,13 @@ impl Recorder<'_> {
         let class =
             one.analysis.avoidability.describe().map_or(String::new(), |words| format!(" {}.", capitalise(&words)));
         let name = format!("{}-{}-{place:02}", self.config.space.name(), terms.seed);
+        let named_file = |path: String, scenario: &Scenario, name, about| {
+            let named = scenario.edited(|spec| (spec.name, spec.about) = (name, about))?;
+            Ok::<_, CampaignError>((path, file::to_toml(&named).map_err(CampaignError::from_encoding_error)?))
+        };
         let mut write =
             |file: &str, (scenario, verdict): (&Scenario, &RunVerdict), name, about, class: &Avoidability| {
-                let named = scenario.edited(|spec| (spec.name, spec.about) = (name, about))?;
-                let text = file::to_toml(&named).map_err(CampaignError::from_encoding_error)?;
-                files.push((format!("counterexamples/{file}"), text));
+                files.push(named_file(format!("counterexamples/{file}"), scenario, name, about)?);
                 index.expected.push(ExpectedVerdict {
                     scenario: file.to_owned(),
                     controller: terms.controller.clone(),
@@ -268,15 +270,13 @@ impl Recorder<'_> {
             _ => None,
         };
         if let Some((path, partner, about)) = &partner_file {
-            let named = partner.edited(|spec| (spec.name, spec.about) = (format!("{name}-partner"), about.clone()))?;
-            files.push((path.clone(), file::to_toml(&named).map_err(CampaignError::from_encoding_error)?));
+            files.push(named_file(path.clone(), partner, format!("{name}-partner"), about.clone())?);
         }
         let escape_file =
             one.analysis.escape.as_ref().map(|escape| (format!("counterexamples/escapes/{file}"), escape));
         if let Some((path, escape)) = &escape_file {
             let about = format!("An escape from {file}: who knows the future avoids the contact like this.");
-            let named = escape.edited(|spec| (spec.name, spec.about) = (format!("{name}-escape"), about))?;
-            files.push((path.clone(), file::to_toml(&named).map_err(CampaignError::from_encoding_error)?));
+            files.push(named_file(path.clone(), escape, format!("{name}-escape"), about)?);
         }
         let point = self.config.space.point(&one.values);
         Ok(Counterexample {
@@ -336,14 +336,11 @@ impl Recorder<'_> {
 }
 
 fn rank_by_likelihood(found: &mut [Counterexample]) {
-    let mut order: Vec<usize> = (0..found.len()).collect();
-    let key =
-        |index: &usize| found.get(*index).map_or((0.0, 0.0), |one| (-one.ln_likelihood, one.distance_from_nominal));
+    let mut order: Vec<&mut Counterexample> = found.iter_mut().collect();
+    let key = |one: &Counterexample| (-one.ln_likelihood, one.distance_from_nominal);
     order.sort_by(|a, b| key(a).partial_cmp(&key(b)).unwrap_or(std::cmp::Ordering::Equal));
-    for (rank, index) in order.into_iter().enumerate() {
-        if let Some(one) = found.get_mut(index) {
-            one.likelihood_rank = rank + 1;
-        }
+    for (rank, one) in (1..).zip(order) {
+        one.likelihood_rank = rank;
     }
 }
 

@@ -6,8 +6,8 @@ use std::cmp::Ordering;
 /// largest change of speed of a vehicle; number of vehicles involved.
 #[derive(Debug, Clone, Copy)]
 pub(super) struct Severity {
-    /// Negative robustness, for a formula or a controller that failed.
-    pub(super) violation: Option<f64>,
+    /// Negative robustness, for a formula or a controller that failed; 0 for a contact.
+    pub(super) violation: f64,
     pub(super) impact_speed_mps: f64,
     pub(super) max_delta_v_mps: f64,
     pub(super) vehicles_involved: usize,
@@ -15,9 +15,8 @@ pub(super) struct Severity {
 
 impl Severity {
     pub(super) fn compare(&self, other: &Self) -> Ordering {
-        let violation = |one: &Self| one.violation.unwrap_or(0.0);
-        violation(self)
-            .total_cmp(&violation(other))
+        self.violation
+            .total_cmp(&other.violation)
             .then(self.impact_speed_mps.total_cmp(&other.impact_speed_mps))
             .then(self.max_delta_v_mps.total_cmp(&other.max_delta_v_mps))
             .then(self.vehicles_involved.cmp(&other.vehicles_involved))
@@ -31,12 +30,12 @@ mod tests {
     #[test]
     fn each_figure_decides_where_those_before_it_are_alike() {
         let contact = |impact_speed_mps, max_delta_v_mps, vehicles_involved| Severity {
-            violation: None,
+            violation: 0.0,
             impact_speed_mps,
             max_delta_v_mps,
             vehicles_involved,
         };
-        let formula = |violation| Severity { violation: Some(violation), ..contact(1.0, 1.0, 2) };
+        let formula = |violation| Severity { violation, ..contact(1.0, 1.0, 2) };
         let mildest_first = [
             contact(9.2, 14.0, 4),
             contact(9.8, 3.0, 2),

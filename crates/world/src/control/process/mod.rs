@@ -420,12 +420,6 @@ impl fmt::Debug for ProcessController {
     }
 }
 
-impl PartialEq for ProcessController {
-    fn eq(&self, other: &Self) -> bool {
-        (&self.setup, &self.files) == (&other.setup, &other.files)
-    }
-}
-
 impl Drop for ProcessController {
     fn drop(&mut self) {
         let state = self.state.get_mut().unwrap_or_else(PoisonError::into_inner);

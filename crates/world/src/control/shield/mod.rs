@@ -77,7 +77,6 @@ pub(crate) struct ShieldedController {
 }
 
 impl ShieldedController {
-    #[must_use]
     pub(crate) fn new(controller: AnyController, params: ShieldParams) -> Self {
         Self {
             controller: Box::new(controller),
@@ -89,7 +88,6 @@ impl ShieldedController {
         }
     }
 
-    #[must_use]
     pub(crate) fn overrides(&self) -> &[Override] {
         &self.overrides
     }

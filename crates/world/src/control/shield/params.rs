@@ -73,7 +73,6 @@ pub struct ShieldParams<R = f64> {
 
 impl<R: Real> ShieldParams<R> {
     /// Returns the kernel against the leader; the own brake limit is reduced by the noise.
-    #[must_use]
     #[inline]
     pub(crate) fn kernel(&self) -> ViabilityKernel<R> {
         ViabilityKernel { own_brake_mps2: self.brake_mps2 - self.noise_mps2, ahead_brake_mps2: self.ahead_brake_mps2 }

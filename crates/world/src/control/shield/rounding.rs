@@ -112,7 +112,6 @@ impl MotionBounds {
     /// the state may be reported as outside the kernel.
     ///
     /// Not included are estimator errors beyond the bounds, and products below 10⁻³⁰⁸, which are irrelevant for a gap.
-    #[must_use]
     pub(crate) fn margin_m(&self, params: &ShieldParams) -> f64 {
         let Self { steps, substeps, .. } = *self;
         let speed_mps = PAD * self.speed_mps;

@@ -3,7 +3,7 @@
 
 use super::*;
 use crate::control::ControllerSpec;
-use crate::control::tests::{EGO, leader_observation};
+use crate::control::tests::{EGO, command_behind, leader_observation};
 use crate::observation::Neighbour;
 use proptest::prelude::*;
 
@@ -46,11 +46,8 @@ fn the_step_has_to_end_in_the_kernel_by_the_margin() {
     // 20 m/s are held for a second behind a leader that brakes from 20 to 15: 2.5 m less, and 5²/6 m demanded.
     let needed_m = 2.5 + 25.0 / 6.0;
     for (more, is_admitted) in [(0.0, false), (0.5, false), (1.5, true)] {
-        assert_eq!(
-            frame.admits(state(needed_m + more * MIN_MARGIN_M, 20.0, 20.0), 0.0),
-            is_admitted,
-            "{more} margins more"
-        );
+        let now = state(needed_m + more * MIN_MARGIN_M, 20.0, 20.0);
+        assert_eq!(frame.admits(now, 0.0), is_admitted, "{more} margins more");
     }
 }
 
@@ -195,7 +192,7 @@ fn a_state_counts_as_out_of_the_kernel_below_half_the_margin() {
         let frame = ShieldParams { step_s: 0.1, margin_m: 1e-5, ..slow_step_params() };
         let gap_m = frame.kernel().demanded_gap_m(20.0, 15.0) + spare_m;
         let mut shield = full_throttle_shield(frame);
-        assert_eq!(shield.decide(&leader_observation(20.0, gap_m, 15.0, 0.0)).unwrap(), -8.0);
+        assert_eq!(command_behind(&mut shield, 20.0, gap_m, 15.0, 0.0), -8.0);
         let expected = Override { first_step: 0, last_step: 0, outside_kernel: outside, rear_conflict: false };
         assert_eq!(shield.overrides(), [expected]);
     }
@@ -208,10 +205,8 @@ fn the_vehicle_behind_is_in_danger_if_it_cannot_stop_for_full_braking() {
     let conflict = |frame: ShieldParams, rear_gap_m: Option<f64>| {
         let rear = rear_gap_m.map(|gap_m| Neighbour { gap_m, speed_mps: 20.0, acceleration_mps2: 0.0 });
         let mut shield = full_throttle_shield(frame);
-        assert_eq!(
-            shield.decide(&Observation { behind: rear, ..leader_observation(20.0, 1.0, 10.0, 0.0) }).unwrap(),
-            -8.0
-        );
+        let seen = Observation { behind: rear, ..leader_observation(20.0, 1.0, 10.0, 0.0) };
+        assert_eq!(shield.decide(&seen).unwrap(), -8.0);
         shield.overrides()[0].rear_conflict
     };
     let frame = ShieldParams { step_s: 0.1, behind: Some(behind_it), ..slow_step_params() };
@@ -246,13 +241,13 @@ fn overrides_in_successive_steps_are_one() {
 fn only_changed_commands_are_overrides() {
     let frame = ShieldParams { step_s: 0.1, brake_mps2: 2.0, accel_mps2: 1.0, ..slow_step_params() };
     let mut shield = full_throttle_shield(frame);
-    assert_eq!(shield.decide(&leader_observation(20.0, 900.0, 20.0, 0.0)).unwrap(), 1.0, "cut to what there is");
+    assert_eq!(command_behind(&mut shield, 20.0, 900.0, 20.0, 0.0), 1.0, "cut to what there is");
     let full_brake = ShieldParams { accel_mps2: -2.0, ..frame };
     let mut braking = self::full_throttle_shield(full_brake);
     let near_m = full_brake.kernel().demanded_gap_m(20.0, 20.0) + 0.01;
-    assert_eq!(braking.decide(&leader_observation(20.0, near_m, 20.0, 0.0)).unwrap(), -2.0);
+    assert_eq!(command_behind(&mut braking, 20.0, near_m, 20.0, 0.0), -2.0);
     assert_eq!(braking.overrides(), []);
-    assert_eq!(braking.decide(&leader_observation(20.0, near_m - 1.0, 20.0, 0.0)).unwrap(), -2.0);
+    assert_eq!(command_behind(&mut braking, 20.0, near_m - 1.0, 20.0, 0.0), -2.0);
     let expected = Override { first_step: 1, last_step: 1, outside_kernel: true, rear_conflict: false };
     assert_eq!(braking.overrides(), [expected]);
 }

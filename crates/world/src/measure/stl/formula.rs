@@ -119,7 +119,6 @@ impl LinearPredicate {
         &self.terms
     }
 
-    #[must_use]
     pub(crate) fn operator(&self) -> ComparisonOp {
         self.operator
     }
@@ -133,13 +132,11 @@ impl LinearPredicate {
 
 impl ComparisonOp {
     /// Returns true if equality does not satisfy the operator.
-    #[must_use]
     pub(crate) fn is_strict(self) -> bool {
         matches!(self, Self::Below | Self::Above)
     }
 
     /// Returns true if larger sums satisfy the operator better.
-    #[must_use]
     pub(crate) fn is_lower_bound(self) -> bool {
         matches!(self, Self::Above | Self::AtLeast)
     }
@@ -189,41 +186,44 @@ impl Formula {
     /// Returns the duration of a trace on which no window is clipped, in seconds; infinite for an unbounded window.
     #[must_use]
     pub fn horizon_s(&self) -> f64 {
+        let operands_s = self.operands().into_iter().map(Self::horizon_s).fold(0.0, f64::max);
         match self {
-            Self::Compare(_) => 0.0,
-            Self::Not(inner) => inner.horizon_s(),
-            Self::And(left, right) | Self::Or(left, right) | Self::Implies(left, right) => {
-                left.horizon_s().max(right.horizon_s())
+            Self::Always(window, _) | Self::Eventually(window, _) | Self::Until(_, window, _) => {
+                window.to_s + operands_s
             }
-            Self::Always(window, inner) | Self::Eventually(window, inner) => window.to_s + inner.horizon_s(),
-            Self::Until(left, window, right) => window.to_s + left.horizon_s().max(right.horizon_s()),
+            Self::Compare(_) | Self::Not(_) | Self::And(..) | Self::Or(..) | Self::Implies(..) => operands_s,
+        }
+    }
+
+    /// Returns the formulas that the operator joins, left to right.
+    pub(super) fn operands(&self) -> Vec<&Self> {
+        match self {
+            Self::Compare(_) => vec![],
+            Self::Not(inner) | Self::Always(_, inner) | Self::Eventually(_, inner) => vec![inner],
+            Self::And(left, right)
+            | Self::Or(left, right)
+            | Self::Implies(left, right)
+            | Self::Until(left, _, right) => vec![left, right],
         }
     }
 
     /// Returns the largest parts without a temporal operator, which are evaluated only at the first sample.
-    #[must_use]
     pub(crate) fn first_sample_parts(&self) -> Vec<&Self> {
         if !self.has_temporal_operator() {
             return vec![self];
         }
-        match self {
-            Self::Not(inner) => inner.first_sample_parts(),
-            Self::And(left, right) | Self::Or(left, right) | Self::Implies(left, right) => {
-                [left.first_sample_parts(), right.first_sample_parts()].concat()
-            }
-            Self::Compare(_) | Self::Always(..) | Self::Eventually(..) | Self::Until(..) => Vec::new(),
+        if self.is_temporal() {
+            return Vec::new();
         }
+        self.operands().into_iter().flat_map(Self::first_sample_parts).collect()
+    }
+
+    fn is_temporal(&self) -> bool {
+        matches!(self, Self::Always(..) | Self::Eventually(..) | Self::Until(..))
     }
 
     fn has_temporal_operator(&self) -> bool {
-        match self {
-            Self::Always(..) | Self::Eventually(..) | Self::Until(..) => true,
-            Self::Compare(_) => false,
-            Self::Not(inner) => inner.has_temporal_operator(),
-            Self::And(left, right) | Self::Or(left, right) | Self::Implies(left, right) => {
-                left.has_temporal_operator() || right.has_temporal_operator()
-            }
-        }
+        self.is_temporal() || self.operands().into_iter().any(Self::has_temporal_operator)
     }
 
     /// Returns a warning if a part of the formula is evaluated only at the first sample, which is rarely intended.
@@ -249,22 +249,13 @@ impl Formula {
     }
 
     fn collect_names<'a>(&'a self, names: &mut Vec<&'a str>) {
-        match self {
-            Self::Compare(comparison) => {
-                for (_, name) in &comparison.terms {
-                    if !names.contains(&name.as_str()) {
-                        names.push(name);
-                    }
+        if let Self::Compare(comparison) = self {
+            for (_, name) in &comparison.terms {
+                if !names.contains(&name.as_str()) {
+                    names.push(name);
                 }
             }
-            Self::Not(inner) | Self::Always(_, inner) | Self::Eventually(_, inner) => inner.collect_names(names),
-            Self::And(left, right)
-            | Self::Or(left, right)
-            | Self::Implies(left, right)
-            | Self::Until(left, _, right) => {
-                left.collect_names(names);
-                right.collect_names(names);
-            }
         }
+        self.operands().into_iter().for_each(|operand| operand.collect_names(names));
     }
 }

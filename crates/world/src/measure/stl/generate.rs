@@ -2,7 +2,26 @@
 
 use proptest::prelude::*;
 
-use super::formula::{Formula, TimeWindow};
+use super::formula::{ComparisonOp, Formula, LinearPredicate, TimeWindow};
+
+/// Generates comparisons of up to `most` weighted signals with a number.
+pub(super) fn any_comparison(
+    weight: impl Strategy<Value = f64>,
+    name: impl Strategy<Value = &'static str>,
+    most: usize,
+    bound: impl Strategy<Value = f64>,
+) -> impl Strategy<Value = Formula> {
+    let relation = prop::sample::select(vec![
+        ComparisonOp::Below,
+        ComparisonOp::AtMost,
+        ComparisonOp::Above,
+        ComparisonOp::AtLeast,
+    ]);
+    let terms = prop::collection::vec((weight, name.prop_map(str::to_owned)), 1..=most);
+    (terms, relation, bound).prop_filter_map("no signal left", |(terms, relation, bound)| {
+        LinearPredicate::new(terms, relation, bound).ok().map(Formula::Compare)
+    })
+}
 
 /// Generates formulas over given comparisons and windows, of at most `depth` levels and about `size` nodes.
 pub(super) fn any_formula(

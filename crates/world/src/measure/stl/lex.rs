@@ -1,5 +1,6 @@
 //! Lexer: text to tokens.
 
+use super::formula::ComparisonOp;
 use super::parse::{FormulaParseError, SyntaxProblem};
 
 #[derive(Debug, Clone, PartialEq)]
@@ -21,10 +22,7 @@ pub(super) enum Symbol {
     Eventually,
     Until,
     Infinity,
-    Below,
-    AtMost,
-    Above,
-    AtLeast,
+    Compare(ComparisonOp),
     Plus,
     Minus,
     Times,
@@ -72,14 +70,14 @@ const KEYWORDS: [(&str, Symbol); 8] = [
 
 /// Longer operators precede their prefixes.
 const SIGNS: [(&str, Symbol); 26] = [
-    ("<=", Symbol::AtMost),
-    (">=", Symbol::AtLeast),
+    ("<=", Symbol::Compare(ComparisonOp::AtMost)),
+    (">=", Symbol::Compare(ComparisonOp::AtLeast)),
     ("->", Symbol::Implies),
     ("=>", Symbol::Implies),
     ("&&", Symbol::And),
     ("||", Symbol::Or),
-    ("≤", Symbol::AtMost),
-    ("≥", Symbol::AtLeast),
+    ("≤", Symbol::Compare(ComparisonOp::AtMost)),
+    ("≥", Symbol::Compare(ComparisonOp::AtLeast)),
     ("→", Symbol::Implies),
     ("∧", Symbol::And),
     ("∨", Symbol::Or),
@@ -87,8 +85,8 @@ const SIGNS: [(&str, Symbol); 26] = [
     ("□", Symbol::Always),
     ("◇", Symbol::Eventually),
     ("!", Symbol::Not),
-    ("<", Symbol::Below),
-    (">", Symbol::Above),
+    ("<", Symbol::Compare(ComparisonOp::Below)),
+    (">", Symbol::Compare(ComparisonOp::Above)),
     ("+", Symbol::Plus),
     ("-", Symbol::Minus),
     ("*", Symbol::Times),

@@ -234,28 +234,17 @@ impl Monitor<'_> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::generate::any_formula;
-    use super::super::{ComparisonOp, naive_robustness};
+    use super::super::generate::{any_comparison, any_formula};
+    use super::super::naive_robustness;
     use super::*;
     use proptest::prelude::*;
 
     const STEP_S: f64 = 0.1;
 
     fn comparison() -> impl Strategy<Value = Formula> {
-        let relation = prop_oneof![
-            Just(ComparisonOp::Below),
-            Just(ComparisonOp::AtMost),
-            Just(ComparisonOp::Above),
-            Just(ComparisonOp::AtLeast)
-        ];
         let weight = prop_oneof![Just(1.0), Just(-1.0), Just(0.5)];
-        let term = (weight, prop_oneof![Just("x"), Just("y")].prop_map(str::to_owned));
         // Small whole numbers often yield margins of exactly zero.
-        (prop::collection::vec(term, 1..3), relation, -2i32..3)
-            .prop_filter_map("no signal", |(terms, relation, c)| {
-                LinearPredicate::new(terms, relation, f64::from(c)).ok()
-            })
-            .prop_map(Formula::Compare)
+        any_comparison(weight, prop_oneof![Just("x"), Just("y")], 2, (-2i32..3).prop_map(f64::from))
     }
 
     fn window() -> impl Strategy<Value = TimeWindow> {

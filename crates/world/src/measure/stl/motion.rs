@@ -118,15 +118,8 @@ mod tests {
         assert!((least("always v1.drac_mps2 < 5") - (5.0 - ahead.max_drac_mps2.unwrap())).abs() < 1e-12);
         assert!((least("always v0.accel_mps2 >= -3") - 0.0).abs() < 1e-9);
         assert!((least("always v0.jerk_mps3 > -300") - 0.0).abs() < 1e-6);
-        assert_eq!(
-            least("always v2.closing_mps < 100"),
-            100.0
-                - trace.vehicles[2]
-                    .speed_mps
-                    .iter()
-                    .zip(&trace.vehicles[1].speed_mps)
-                    .map(|(r, f)| r - f)
-                    .fold(f64::NEG_INFINITY, f64::max)
-        );
+        let [front, rear] = [1, 2].map(|vehicle| &trace.vehicles[vehicle].speed_mps);
+        let closing_mps = rear.iter().zip(front).map(|(rear, front)| rear - front).fold(f64::NEG_INFINITY, f64::max);
+        assert_eq!(least("always v2.closing_mps < 100"), 100.0 - closing_mps);
     }
 }

@@ -26,12 +26,7 @@ struct NaiveNode<'a> {
 
 impl<'a> NaiveNode<'a> {
     fn new(formula: &'a Formula, samples: usize) -> Self {
-        let inner: Vec<&Formula> = match formula {
-            Formula::Compare(_) => vec![],
-            Formula::Not(a) | Formula::Always(_, a) | Formula::Eventually(_, a) => vec![a],
-            Formula::And(a, b) | Formula::Or(a, b) | Formula::Implies(a, b) | Formula::Until(a, _, b) => vec![a, b],
-        };
-        let inner = inner.into_iter().map(|formula| NaiveNode::new(formula, samples)).collect();
+        let inner = formula.operands().into_iter().map(|formula| NaiveNode::new(formula, samples)).collect();
         Self { formula, inner, cache: RefCell::new(vec![None; samples]) }
     }
 

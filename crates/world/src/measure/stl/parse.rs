@@ -2,7 +2,7 @@
 
 use std::str::FromStr;
 
-use super::formula::{ComparisonOp, Formula, FormulaError, LinearPredicate, TimeWindow};
+use super::formula::{Formula, FormulaError, LinearPredicate, TimeWindow};
 use super::lex::{Symbol, Token, tokenize};
 
 /// A syntax error with its column.
@@ -47,7 +47,7 @@ pub enum SyntaxProblem {
     },
     /// A sum in place of a formula.
     #[error(
-        "this is a number or a sum of signals, not a formula; compare it with a number, as in `gap > 2`. {OPERATORS}"
+        "this is a number or a sum of signals, not a formula; compare it with a number, as in `gap > 2`; {OPERATORS}"
     )]
     SumNotFormula,
     /// A formula in place of a sum.
@@ -111,7 +111,6 @@ impl FromStr for Formula {
 }
 
 /// Returns the column, in characters from 1, of the first use of a signal.
-#[must_use]
 pub(crate) fn signal_column(text: &str, name: &str) -> Option<usize> {
     let named = |token: &Token| matches!(token, Token::Name(found) if found == name);
     tokenize(text).ok()?.into_iter().find(|(_, token)| named(token)).map(|(column, _)| column)
@@ -252,7 +251,7 @@ impl Parser<'_> {
         let column = left.column;
         let window = self.parse_window()?;
         let right = self.parse_unary()?.into_formula()?;
-        self.refuse_another(&[Symbol::Until])?;
+        self.refuse_another(|symbol| symbol == Symbol::Until)?;
         let until = Formula::Until(Box::new(left.into_formula()?), window, Box::new(right));
         Ok(ParsedExpr { column, kind: ExprKind::Formula(until) })
     }
@@ -330,10 +329,11 @@ impl Parser<'_> {
 
     fn parse_comparison(&mut self) -> Result<ParsedExpr, FormulaParseError> {
         let left = self.parse_sum()?;
-        let Some(relation) = self.parse_comparison_op() else { return Ok(left) };
+        let &Token::Symbol(Symbol::Compare(relation)) = self.peek().1 else { return Ok(left) };
+        self.next += 1;
         let column = left.column;
         let right = self.parse_sum()?;
-        self.refuse_another(&[Symbol::Below, Symbol::AtMost, Symbol::Above, Symbol::AtLeast])?;
+        self.refuse_another(|symbol| matches!(symbol, Symbol::Compare(_)))?;
         let (mut terms, left_constant) = left.into_sum()?;
         let (subtracted, right_constant) = right.into_sum()?;
         terms.extend(subtracted.into_iter().map(|(weight, name)| (-weight, name)));
@@ -342,20 +342,9 @@ impl Parser<'_> {
         Ok(ParsedExpr { column, kind: ExprKind::Formula(Formula::Compare(comparison)) })
     }
 
-    fn parse_comparison_op(&mut self) -> Option<ComparisonOp> {
-        [
-            (Symbol::Below, ComparisonOp::Below),
-            (Symbol::AtMost, ComparisonOp::AtMost),
-            (Symbol::Above, ComparisonOp::Above),
-            (Symbol::AtLeast, ComparisonOp::AtLeast),
-        ]
-        .into_iter()
-        .find_map(|(symbol, relation)| self.eat(symbol).then_some(relation))
-    }
-
-    fn refuse_another(&self, symbols: &[Symbol]) -> Result<(), FormulaParseError> {
+    fn refuse_another(&self, is_refused: impl Fn(Symbol) -> bool) -> Result<(), FormulaParseError> {
         match self.peek() {
-            (column, Token::Symbol(symbol)) if symbols.contains(symbol) => {
+            (column, Token::Symbol(symbol)) if is_refused(*symbol) => {
                 Err(FormulaParseError { column, problem: SyntaxProblem::Chained })
             }
             _ => Ok(()),

@@ -65,25 +65,15 @@ impl fmt::Display for LinearPredicate {
 
 #[cfg(test)]
 mod tests {
-    use super::super::generate::any_formula;
-    use super::super::{ComparisonOp, SyntaxProblem};
+    use super::super::SyntaxProblem;
+    use super::super::generate::{any_comparison, any_formula};
     use super::*;
     use proptest::prelude::*;
 
     fn comparison() -> impl Strategy<Value = Formula> {
         let weight = prop_oneof![Just(1.0), Just(-1.0), -1e3..1e3, proptest::num::f64::NORMAL];
         let name = prop_oneof![Just("a"), Just("b_m"), Just("ego.ttc_s"), Just("inf1"), Just("α")];
-        let relation = prop_oneof![
-            Just(ComparisonOp::Below),
-            Just(ComparisonOp::AtMost),
-            Just(ComparisonOp::Above),
-            Just(ComparisonOp::AtLeast)
-        ];
-        (prop::collection::vec((weight, name.prop_map(str::to_owned)), 1..4), relation, -1e9..1e9)
-            .prop_filter_map("no signal left", |(terms, relation, bound)| {
-                LinearPredicate::new(terms, relation, bound).ok()
-            })
-            .prop_map(Formula::Compare)
+        any_comparison(weight, name, 3, -1e9..1e9)
     }
 
     fn window() -> impl Strategy<Value = TimeWindow> {

@@ -27,7 +27,6 @@ pub const MIN_MOVING_SPEED_MPS: f64 = 1.0;
 
 /// Usability measures of a vehicle before its first impact.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct UsefulnessMeasures {
     /// Index of the vehicle, from the front.
@@ -51,7 +50,6 @@ pub struct UsefulnessMeasures {
 
 /// Measures of following a leader.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct FollowingMeasures {
     /// Distance driven, relative to that of the leader; `None` if the leader did not move.
@@ -162,28 +160,21 @@ mod tests {
         // Steps of 0.5 s exceed the window, so that one of three contains the jump of 8 m/s².
         assert!(near(found.rms_jerk_mps3, (8.0_f64.powi(2) / 3.0).sqrt() / JERK_WINDOW_S));
 
-        let still = UsefulnessMeasures::from_trace(
-            &trace(vec![driven_track(4.0, 0.0, 0.0, &[(1.0, 0.0)], 0.5); 2], 0.5),
-            &[],
-            1,
-        )
-        .unwrap();
-        let following = still.following.unwrap();
+        let following_of = |front, rear| {
+            UsefulnessMeasures::from_trace(&trace(vec![front, rear], 0.5), &[], 1).unwrap().following.unwrap()
+        };
+        let steady = |position_m, speed_mps| driven_track(4.0, position_m, speed_mps, &[(1.0, 0.0)], 0.5);
+        let following = following_of(steady(0.0, 0.0), steady(0.0, 0.0));
         assert_eq!((following.progress, following.mean_time_gap_s, following.fell_behind), (None, None, false));
-        let left = trace(
-            vec![driven_track(4.0, 9.0, 20.0, &[(1.0, 0.0)], 0.5), driven_track(4.0, 0.0, 9.0, &[(1.0, 0.0)], 0.5)],
-            0.5,
-        );
-        assert!(UsefulnessMeasures::from_trace(&left, &[], 1).unwrap().following.unwrap().fell_behind);
+        assert!(following_of(steady(9.0, 20.0), steady(0.0, 9.0)).fell_behind);
     }
 
     #[test]
     fn jerk_of_a_ramp_is_its_slope() {
         // 3 m/s³ in steps of 0.01 s: the change within a window is 0.3 m/s².
         let stairs: Vec<_> = (0..200).map(|k| (0.01, -0.03 * f64::from(k))).collect();
-        let found =
-            UsefulnessMeasures::from_trace(&trace(vec![driven_track(4.0, 0.0, 30.0, &stairs, 0.01)], 0.01), &[], 0)
-                .unwrap();
+        let alone = trace(vec![driven_track(4.0, 0.0, 30.0, &stairs, 0.01)], 0.01);
+        let found = UsefulnessMeasures::from_trace(&alone, &[], 0).unwrap();
         assert!((found.rms_jerk_mps3.unwrap() - 3.0).abs() < 1e-9, "{found:?}");
     }
 

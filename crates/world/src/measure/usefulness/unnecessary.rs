@@ -238,10 +238,8 @@ mod tests {
         let found = unnecessary(&[(1.0, 0.0), (0.5, -5.0), (1.0, 0.0), (0.3, -2.5), (0.5, 0.0)]);
         let hardest = found.hardest.unwrap();
         assert!((found.time_s - 0.8).abs() < 1e-9 && found.count == 2, "{found:?}");
-        assert!(
-            (hardest.brake_mps2, hardest.time_s) == (5.0, 1.0)
-                && (hardest.justified_mps2 - JUSTIFIED_MPS2).abs() < 1e-12
-        );
+        assert_eq!((hardest.brake_mps2, hardest.time_s), (5.0, 1.0));
+        assert!((hardest.justified_mps2 - JUSTIFIED_MPS2).abs() < 1e-12);
         assert!(unnecessary(&[(1.0, -2.0)]).is_empty(), "within the margin");
         assert!(unnecessary(&[(0.5, 0.0), (0.15, -7.0), (0.5, 0.0)]).is_empty(), "too short");
         let bursts = unnecessary(&[(0.5, 0.0), (0.1, -7.0), (0.1, 0.0), (0.1, -7.0), (0.5, 0.0)]);
@@ -270,21 +268,14 @@ mod tests {
         let mut hit = impact(1.0, 1, 20.0, 25.0);
         (hit.first_involved, hit.last_involved) = (1, 2);
         let braking = steady_leader_trace(&[(1.0, 0.0), (2.0, -7.0)]);
-        assert!(
-            UnnecessaryBraking::from_trace(&braking, &[hit], 1).unwrap().is_empty(),
-            "hit from behind before it braked"
-        );
-        assert!(!UnnecessaryBraking::from_trace(&braking, &[], 1).unwrap().is_empty());
+        let is_empty = |impacts: &[Impact]| UnnecessaryBraking::from_trace(&braking, impacts, 1).unwrap().is_empty();
+        assert!(is_empty(&[hit]) && !is_empty(&[]), "hit from behind before it braked");
     }
 
     #[test]
     fn without_a_leader_no_braking_is_justified() {
-        let leader = UnnecessaryBraking::from_trace(
-            &trace(vec![driven_track(4.0, 0.0, 20.0, &[(1.0, -3.0)], 0.05)], 0.05),
-            &[],
-            0,
-        );
-        let UnnecessaryBraking { time_s, count, hardest } = leader.unwrap();
+        let alone = trace(vec![driven_track(4.0, 0.0, 20.0, &[(1.0, -3.0)], 0.05)], 0.05);
+        let UnnecessaryBraking { time_s, count, hardest } = UnnecessaryBraking::from_trace(&alone, &[], 0).unwrap();
         assert!((time_s - 1.0).abs() < 1e-9 && count == 1);
         assert_eq!(hardest, Some(BrakeInstant { time_s: 0.0, brake_mps2: 3.0, justified_mps2: 0.0 }));
     }

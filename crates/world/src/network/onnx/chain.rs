@@ -69,11 +69,6 @@ fn mismatch_hint(taken: usize, count: usize) -> &'static str {
     }
 }
 
-enum Constant {
-    Left(Rc<OnnxTensor>),
-    Right(Rc<OnnxTensor>),
-}
-
 impl Chain {
     fn apply_node(&mut self, node: OnnxNode) -> Result<(), String> {
         if !is_default_domain(&node.domain) {
@@ -105,13 +100,9 @@ impl Chain {
             "Conv" => self.full_convolution(&node)?,
             "Add" => self.add(&node, 1.0)?,
             "Sub" => self.subtract(&node)?,
-            "Mul" => {
-                let factors = self.broadcast_operand(&node)?;
-                self.steps.push(NetworkStep::Elementwise(Elementwise::Multiply(factors)));
-            }
+            "Mul" => self.push_elementwise(Elementwise::Multiply(self.broadcast_operand(&node)?)),
             "Div" if node.inputs.first() == Some(&self.current) => {
-                let divisors = self.broadcast_operand(&node)?;
-                self.steps.push(NetworkStep::Elementwise(Elementwise::Divide(divisors)));
+                self.push_elementwise(Elementwise::Divide(self.broadcast_operand(&node)?));
             }
             "Relu" => self.push_elementwise(Elementwise::Relu),
             "LeakyRelu" => {
@@ -149,16 +140,14 @@ impl Chain {
             .ok_or_else(|| format!("its input `{name}` is not a constant, so the graph is not a simple chain"))
     }
 
-    fn constant_operand(&self, node: &OnnxNode) -> Result<Constant, String> {
-        if node.inputs.first() == Some(&self.current) {
-            self.constant(node, 1).map(Constant::Right)
-        } else {
-            self.constant(node, 0).map(Constant::Left)
-        }
+    /// Returns the constant operand, and true if it is on the left.
+    fn constant_operand(&self, node: &OnnxNode) -> Result<(Rc<OnnxTensor>, bool), String> {
+        let is_left = node.inputs.first() != Some(&self.current);
+        Ok((self.constant(node, usize::from(!is_left))?, is_left))
     }
 
     fn broadcast_operand(&self, node: &OnnxNode) -> Result<Vec<f32>, String> {
-        let (Constant::Left(constant) | Constant::Right(constant)) = self.constant_operand(node)?;
+        let (constant, _) = self.constant_operand(node)?;
         let numbers = constant.floats()?;
         let mut shape = constant.shape.clone();
         // Before opset 7, an attribute gave the axis of the constant's first dimension.
@@ -186,10 +175,7 @@ impl Chain {
     }
 
     fn product(&mut self, node: &OnnxNode) -> Result<(), String> {
-        let (constant, transposed) = match self.constant_operand(node)? {
-            Constant::Right(constant) => (constant, false),
-            Constant::Left(constant) => (constant, true),
-        };
+        let (constant, transposed) = self.constant_operand(node)?;
         let [rows, columns] = matrix_shape(&constant.shape)?;
         let taken = if transposed { columns } else { rows };
         // The current values must be one row, or one column for a constant on the left.
@@ -219,10 +205,7 @@ impl Chain {
     fn gemm(&mut self, node: &OnnxNode) -> Result<(), String> {
         let (alpha, beta) = (float_attribute(node, "alpha", 1.0), float_attribute(node, "beta", 1.0));
         let is_set = |name: &str| integer_attribute(node, name).is_some_and(|value| value != 0);
-        let (constant, is_left) = match self.constant_operand(node)? {
-            Constant::Right(constant) => (constant, false),
-            Constant::Left(constant) => (constant, true),
-        };
+        let (constant, is_left) = self.constant_operand(node)?;
         let shape @ [rows, columns] = matrix_shape(&constant.shape)?;
         // With the constant on the left, its rows are the outputs.
         let transposed = is_set(if is_left { "transA" } else { "transB" }) != is_left;
@@ -299,7 +282,7 @@ impl Chain {
             Some(NetworkStep::Linear(Linear { biases, .. })) if biases.iter().all(|bias| *bias == 0.0) => {
                 *biases = operands
             }
-            _ => self.steps.push(NetworkStep::Elementwise(Elementwise::Add(operands))),
+            _ => self.push_elementwise(Elementwise::Add(operands)),
         }
         Ok(())
     }
@@ -309,8 +292,8 @@ impl Chain {
             return self.add(node, -1.0);
         }
         let operands = self.broadcast_operand(node)?;
-        self.steps.push(NetworkStep::Elementwise(Elementwise::Multiply(vec![-1.0; operands.len()])));
-        self.steps.push(NetworkStep::Elementwise(Elementwise::Add(operands)));
+        self.push_elementwise(Elementwise::Multiply(vec![-1.0; operands.len()]));
+        self.push_elementwise(Elementwise::Add(operands));
         Ok(())
     }
 
@@ -337,15 +320,12 @@ impl Chain {
         let constant = self.constant(node, 1)?;
         let TensorData::Integer(wanted) = &constant.data else { return Err("a shape that is not whole".to_owned()) };
         let keeps_zero = integer_attribute(node, "allowzero").is_some_and(|value| value != 0);
-        let mut shape = Vec::new();
-        for (index, &size) in wanted.iter().enumerate() {
-            shape.push(match size {
-                0 if !keeps_zero => self.shape.get(index).copied(),
-                -1 => Some(1),
-                size => usize::try_from(size).ok(),
-            });
-        }
-        let shape: Option<Vec<usize>> = shape.into_iter().collect();
+        let sizes = wanted.iter().enumerate().map(|(index, &size)| match size {
+            0 if !keeps_zero => self.shape.get(index).copied(),
+            -1 => Some(1),
+            size => usize::try_from(size).ok(),
+        });
+        let shape: Option<Vec<usize>> = sizes.collect();
         let mut shape = shape.ok_or_else(|| format!("to shape {wanted:?}"))?;
         let count = |shape: &[usize]| shape.iter().try_fold(1_usize, |count, &size| count.checked_mul(size));
         if let Some(open) = wanted.iter().position(|&size| size == -1) {

@@ -38,7 +38,7 @@ pub(super) struct Attribute {
     pub(super) tensor: Option<OnnxTensor>,
 }
 
-#[derive(Debug, Clone, Default)]
+#[derive(Debug, Clone)]
 pub(super) struct OnnxTensor {
     pub(super) shape: Vec<usize>,
     pub(super) data: TensorData,
@@ -50,12 +50,6 @@ pub(super) enum TensorData {
     Integer(Vec<i64>),
     /// Unsupported data, with the reason.
     Unsupported(String),
-}
-
-impl Default for TensorData {
-    fn default() -> Self {
-        Self::Float(Vec::new())
-    }
 }
 
 impl OnnxTensor {
@@ -210,9 +204,13 @@ fn parse_tensor(bytes: &[u8]) -> Result<(String, OnnxTensor), NetworkError> {
                 external_data=False)"
                 .to_owned(),
         ),
-        (1, Some(raw)) => TensorData::Float(unpack(WireValue::Bytes(raw), WireValue::floats)?),
-        (11, Some(raw)) => TensorData::Float(unpack(WireValue::Bytes(raw), WireValue::doubles)?),
         (1 | 11, None) => TensorData::Float(reals),
+        (1 | 11, Some(raw)) => {
+            let append = if kind == 1 { WireValue::floats } else { WireValue::doubles };
+            let mut numbers = Vec::new();
+            append(WireValue::Bytes(raw), &mut numbers)?;
+            TensorData::Float(numbers)
+        }
         (7, None) => TensorData::Integer(wholes),
         (7, Some(raw)) => {
             let (values, _) = raw.as_chunks::<8>();
@@ -232,15 +230,6 @@ fn parse_tensor(bytes: &[u8]) -> Result<(String, OnnxTensor), NetworkError> {
         return Err(damaged(problem));
     }
     Ok((name, OnnxTensor { shape, data: numbers }))
-}
-
-fn unpack<'a, T>(
-    value: WireValue<'a>,
-    into: impl Fn(WireValue<'a>, &mut Vec<T>) -> Result<(), NetworkError>,
-) -> Result<Vec<T>, NetworkError> {
-    let mut all = Vec::new();
-    into(value, &mut all)?;
-    Ok(all)
 }
 
 fn parse_value_info(bytes: &[u8]) -> Result<(String, Option<Vec<usize>>), NetworkError> {

@@ -126,16 +126,12 @@ impl VecNormalizeStats {
             found = below.into_iter().flat_map(|below| list_statistics(&below).0).collect();
         }
         let of_checkpoint = model.file_stem().and_then(|stem| stem.to_str()).and_then(checkpoint_stats_name);
-        let is_own = |path: &&PathBuf| of_checkpoint.is_some() && file_name(path) == of_checkpoint;
+        let is_own = |path: &&PathBuf| of_checkpoint.as_ref().is_some_and(|name| path.ends_with(name));
         found.iter().find(is_own).or(found.first()).map(|path| match path.strip_prefix("./") {
             Ok(path) => path.to_owned(),
             Err(_) => path.clone(),
         })
     }
-}
-
-fn file_name(path: &Path) -> Option<String> {
-    path.file_name().and_then(|name| name.to_str()).map(str::to_owned)
 }
 
 /// Returns `PREFIX_vecnormalize_N_steps.pkl` for `PREFIX_N_steps`, as `CheckpointCallback` names them.

@@ -5,6 +5,7 @@ use serde_json::Value;
 use super::super::NetworkError;
 use super::super::error::sanitized;
 use super::super::pickle::{Object, Pickle, ValueId};
+use super::unsupported;
 
 /// A box space of observations or actions.
 #[derive(Debug, Clone, PartialEq)]
@@ -22,10 +23,6 @@ impl BoxSpace {
     pub fn bounds(&self, index: usize) -> Option<(f64, f64)> {
         Some((f64::from(*self.low.get(index)?), f64::from(*self.high.get(index)?)))
     }
-}
-
-fn unsupported<T>(problem: impl Into<String>) -> Result<T, NetworkError> {
-    Err(NetworkError::Unsupported(problem.into()))
 }
 
 /// Returns the pickle of a member of `data`.

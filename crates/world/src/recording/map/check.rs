@@ -1,6 +1,6 @@
 //! Validation of maps.
 
-use super::{LayoutSpec, LengthSpec, PairsSpec, PlatoonSpec, RecordingMapSpec, Spacing, TimeSpec, TracksSpec};
+use super::{LayoutSpec, LengthSpec, PairsSpec, PlatoonSpec, RecordingMapSpec, Spacing, TimeSpec};
 
 const MAP_VERSION: u32 = 1;
 const MAX_TEXT_LENGTH: usize = 200;
@@ -23,19 +23,19 @@ pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
         return wrong("lines_before_names", format!("must be at most {MAX_LINES_BEFORE_NAMES}, found {found}"));
     }
     check_range("interpolate_s", spec.interpolate_s, [0.0, MAX_INTERPOLATION_S])?;
-    match &spec.time {
-        TimeSpec::Clock(clock) => check_name("time.clock.column", &clock.column)?,
-        TimeSpec::Frames(frames) => {
-            check_name("time.frames.column", &frames.column)?;
-            check_range("time.frames.rate_hz", frames.rate_hz, [0.5, 1000.0])?;
-        }
+    let columns = spec.columns();
+    columns.iter().try_for_each(|(field, column)| check_name(field, column))?;
+    if let TimeSpec::Frames(frames) = &spec.time {
+        check_range("time.frames.rate_hz", frames.rate_hz, [0.5, 1000.0])?;
     }
     match &spec.layout {
         LayoutSpec::Platoon(platoon) => check_platoon(platoon),
         LayoutSpec::Pairs(pairs) => check_pairs(pairs),
-        LayoutSpec::Tracks(tracks) => check_tracks(tracks),
+        LayoutSpec::Tracks(tracks) => match tracks.length {
+            LengthSpec::Column(_) => Ok(()),
+            LengthSpec::Metres(metres) => check_range("layout.tracks.length.metres", metres, [0.1, 100.0]),
+        },
     }?;
-    let columns = spec.columns();
     for (index, (field, column)) in columns.iter().enumerate() {
         if let Some((other, _)) = columns.iter().take(index).find(|(_, known)| known == column) {
             return wrong(field, format!("`{column}` is already the column of `{other}`"));
@@ -45,59 +45,48 @@ pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
 }
 
 impl RecordingMapSpec {
-    fn columns(&self) -> Vec<(String, &str)> {
+    /// Returns every field that names a column, with the name.
+    fn columns(&self) -> Vec<(&'static str, &str)> {
         let time = match &self.time {
             TimeSpec::Clock(clock) => ("time.clock.column", Some(&clock.column)),
             TimeSpec::Frames(frames) => ("time.frames.column", Some(&frames.column)),
         };
-        let (layout, fields) = match &self.layout {
-            LayoutSpec::Platoon(platoon) => (
-                "layout.platoon.",
-                vec![("speed.column", Some(&platoon.speed.column)), ("spacing.column", Some(&platoon.spacing.column))],
-            ),
-            LayoutSpec::Pairs(pairs) => ("layout.pairs.", pairs.columns().to_vec()),
-            LayoutSpec::Tracks(tracks) => ("layout.tracks.", tracks.columns().to_vec()),
+        let of_layout = match &self.layout {
+            LayoutSpec::Platoon(platoon) => vec![
+                ("layout.platoon.speed.column", Some(&platoon.speed.column)),
+                ("layout.platoon.spacing.column", Some(&platoon.spacing.column)),
+            ],
+            LayoutSpec::Pairs(pairs) => vec![
+                ("layout.pairs.event", pairs.event.as_ref()),
+                ("layout.pairs.spacing.column", Some(&pairs.spacing.column)),
+                ("layout.pairs.follower_speed.column", pairs.follower_speed.as_ref().map(|speed| &speed.column)),
+                ("layout.pairs.leader_speed.column", pairs.leader_speed.as_ref().map(|speed| &speed.column)),
+                ("layout.pairs.relative_speed.column", pairs.relative_speed.as_ref().map(|speed| &speed.column)),
+            ],
+            LayoutSpec::Tracks(tracks) => vec![
+                ("layout.tracks.vehicle", Some(&tracks.vehicle)),
+                ("layout.tracks.lane", tracks.lane.as_ref()),
+                ("layout.tracks.position.column", Some(&tracks.position.column)),
+                ("layout.tracks.speed.column", Some(&tracks.speed.column)),
+                (
+                    "layout.tracks.length.column.name",
+                    match &tracks.length {
+                        LengthSpec::Column(column) => Some(&column.name),
+                        LengthSpec::Metres(_) => None,
+                    },
+                ),
+            ],
         };
-        let of_layout = fields.into_iter().map(|(field, column)| (format!("{layout}{field}"), column));
-        let all = std::iter::once((time.0.to_owned(), time.1)).chain(of_layout);
+        let all = std::iter::once(time).chain(of_layout);
         all.filter_map(|(field, column)| Some((field, column?.as_str()))).collect()
-    }
-}
-
-impl PairsSpec {
-    fn columns(&self) -> [(&'static str, Option<&String>); 5] {
-        [
-            ("event", self.event.as_ref()),
-            ("spacing.column", Some(&self.spacing.column)),
-            ("follower_speed.column", self.follower_speed.as_ref().map(|speed| &speed.column)),
-            ("leader_speed.column", self.leader_speed.as_ref().map(|speed| &speed.column)),
-            ("relative_speed.column", self.relative_speed.as_ref().map(|speed| &speed.column)),
-        ]
-    }
-}
-
-impl TracksSpec {
-    fn columns(&self) -> [(&'static str, Option<&String>); 5] {
-        let length = match &self.length {
-            LengthSpec::Column(column) => Some(&column.name),
-            LengthSpec::Metres(_) => None,
-        };
-        [
-            ("vehicle", Some(&self.vehicle)),
-            ("lane", self.lane.as_ref()),
-            ("position.column", Some(&self.position.column)),
-            ("speed.column", Some(&self.speed.column)),
-            ("length.column.name", length),
-        ]
     }
 }
 
 fn check_platoon(spec: &PlatoonSpec) -> Result<(), (String, String)> {
     for (field, column) in [("speed", &spec.speed.column), ("spacing", &spec.spacing.column)] {
-        let field = format!("layout.platoon.{field}.column");
-        check_name(&field, column)?;
         if column.matches("{}").count() != 1 {
-            return Err((field, "must hold `{}` once, where the vehicle's number stands".to_owned()));
+            let problem = "must hold `{}` once, where the vehicle's number stands";
+            return Err((format!("layout.platoon.{field}.column"), problem.to_owned()));
         }
     }
     for (field, line) in [("names_line", &spec.names_line), ("count_line", &spec.count_line)] {
@@ -107,25 +96,12 @@ fn check_platoon(spec: &PlatoonSpec) -> Result<(), (String, String)> {
 }
 
 fn check_pairs(spec: &PairsSpec) -> Result<(), (String, String)> {
-    for (field, column) in spec.columns() {
-        column.map_or(Ok(()), |column| check_name(&format!("layout.pairs.{field}"), column))?;
-    }
     let speeds = [spec.follower_speed.is_some(), spec.leader_speed.is_some(), spec.relative_speed.is_some()];
     if speeds.into_iter().filter(|is_given| *is_given).count() < 2 {
         let problem = "needs two of follower_speed, leader_speed and relative_speed";
         return Err(("layout.pairs".to_owned(), problem.to_owned()));
     }
     check_length("layout.pairs", spec.spacing.from, spec.length_m)
-}
-
-fn check_tracks(spec: &TracksSpec) -> Result<(), (String, String)> {
-    for (field, column) in spec.columns() {
-        column.map_or(Ok(()), |column| check_name(&format!("layout.tracks.{field}"), column))?;
-    }
-    match &spec.length {
-        LengthSpec::Column(_) => Ok(()),
-        LengthSpec::Metres(metres) => check_range("layout.tracks.length.metres", *metres, [0.1, 100.0]),
-    }
 }
 
 /// Requires a length exactly where spacings are from front to front.

@@ -18,9 +18,8 @@ const MAX_MAP_BYTES: u64 = 64 << 10;
 
 /// Content of a map file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema), schemars(title = "crumple map of a recording, version 1"))]
 #[serde(deny_unknown_fields, expecting = "a map: a table of fields")]
-#[cfg_attr(feature = "schema", schemars(title = "crumple map of a recording, version 1"))]
 pub struct RecordingMapSpec {
     /// Version of the format: 1.
     pub version: u32,

@@ -60,6 +60,13 @@ pub fn find_space(name: &str) -> Result<ScenarioSpace, FindSpaceError> {
     }
 }
 
+/// Returns the one-line description of a built-in space; `None` for any other space, also one with the same name.
+#[must_use]
+pub fn built_in_space_summary(space: &ScenarioSpace) -> Option<&'static str> {
+    let (name, summary, _) = BUILT_IN_SPACES.iter().find(|(known, ..)| *known == space.name())?;
+    (built_in_space(name)?.spec() == space.spec()).then_some(*summary)
+}
+
 /// Returns the built-in space `name`.
 #[must_use]
 pub fn built_in_space(name: &str) -> Option<ScenarioSpace> {

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::copula::Copula;
-use super::field::{FieldTarget, ParameterField};
+use super::field::{FieldTarget, ParameterField, VehicleField};
 use super::marginal::CoordinateMarginal;
 use super::spec::{Base, ParameterSpec, ParameterValue, SPACE_VERSION, SpaceSpec, ValueKind};
 use super::{ScenarioSpace, SpaceParameter};
@@ -147,9 +147,8 @@ impl ScenarioSpace {
         }
         let field = ParameterField::resolve(&spec.field, &self.template)
             .map_err(|problem| InvalidSpace::new(at("field"), problem))?;
-        if matches!(field.target, FieldTarget::Gap(_) | FieldTarget::TimeGap(_) | FieldTarget::ClosingTime(_))
-            && !self.uses_gaps
-        {
+        let is_gap = |field| matches!(field, VehicleField::Gap | VehicleField::TimeGap | VehicleField::ClosingTime);
+        if matches!(field.target, FieldTarget::Vehicle(_, target) if is_gap(target)) && !self.uses_gaps {
             return reject(at("field"), "a space has gaps or positions, not both");
         }
         if with_superscripts(&spec.unit) != field.unit {
@@ -236,7 +235,8 @@ impl ScenarioSpace {
                 let mut values = nominal.clone();
                 values.get_mut(parameter.coordinates.clone()).unwrap_or_default().fill(end);
                 if let Err(invalid) = self.scenario(&values)
-                    && (matches!(parameter.target, FieldTarget::Gap(_)) || !is_joint_problem(&invalid))
+                    && (matches!(parameter.target, FieldTarget::Vehicle(_, VehicleField::Gap))
+                        || !is_joint_problem(&invalid))
                 {
                     let name = &parameter.name;
                     return reject(
@@ -255,7 +255,7 @@ impl ScenarioSpace {
         for vehicle in 0..self.template.vehicles.len() {
             let near = |parameter: &&SpaceParameter| {
                 let collided = parameter.target.affected_vehicle();
-                let of_all = matches!(parameter.target, FieldTarget::Vehicle(None, _));
+                let of_all = matches!(parameter.target, FieldTarget::AllVehicles(_));
                 of_all || collided.is_some_and(|collided| collided == vehicle || collided + 1 == vehicle)
             };
             let parameters: Vec<&SpaceParameter> = self.parameters.iter().filter(near).collect();

@@ -40,6 +40,10 @@ high = 1.0
 values = [0.5, 0.6, 0.9]
 "#;
 
+const MATRIX: &str = "[[1.0, -0.6], [-0.6, 1.0]]";
+const NAMES: &str = "[\"ahead_m\", \"friction\"]";
+const HOURS: &str = "hours = 0.5\nkilometres = 30.0\n[[";
+
 fn space(text: &str) -> Result<ScenarioSpace, String> {
     file::from_toml(text, Path::new("pairs.toml")).map_err(|error| error.to_string())
 }
@@ -47,36 +51,20 @@ fn space(text: &str) -> Result<ScenarioSpace, String> {
 #[test]
 fn errors_of_dependence_exposure_and_data_name_their_field() {
     let damaged: [(&str, &str, &str); 25] = [
-        ("[[1.0, -0.6], [-0.6, 1.0]]", "[[1.0, 1.0], [1.0, 1.0]]", "correlation: must be positive definite"),
-        (
-            "[[1.0, -0.6], [-0.6, 1.0]]",
-            "[[1.0, -0.6], [-0.5, 1.0]]",
-            "correlation[0]: must be symmetric, found -0.6 and -0.5",
-        ),
-        (
-            "[[1.0, -0.6], [-0.6, 1.0]]",
-            "[[1.0, -0.6], [-0.6, 0.9]]",
-            "correlation[1]: must have 1 on the diagonal, found 0.9",
-        ),
-        ("[[1.0, -0.6], [-0.6, 1.0]]", "[[1.0, -1.6], [-1.6, 1.0]]", "correlation[0]: must be from -1 to 1"),
-        ("[[1.0, -0.6], [-0.6, 1.0]]", "[[1.0, nan], [nan, 1.0]]", "correlation[0]: must be from -1 to 1"),
-        ("[[1.0, -0.6], [-0.6, 1.0]]", "[[1.0, -0.6]]", "correlation: must have 2 rows, found 1"),
-        ("[[1.0, -0.6], [-0.6, 1.0]]", "[[1.0], [-0.6, 1.0]]", "correlation[0]: must have 2 entries, found 1"),
-        ("[\"ahead_m\", \"friction\"]", "[\"ahead_m\", \"nobody\"]", "parameters[1]: there is no parameter `nobody`"),
-        ("[\"ahead_m\", \"friction\"]", "[\"ahead_m\", \"ahead_m\"]", "parameters[1]: `ahead_m` is named twice"),
-        ("[\"ahead_m\", \"friction\"]", "[\"ahead_m\", \"class\"]", "parameters[1]: `class` is a class or a driver"),
-        ("[\"ahead_m\", \"friction\"]", "[\"ahead_m\"]", "parameters: must be 2 to 50, found 1"),
+        (MATRIX, "[[1.0, 1.0], [1.0, 1.0]]", "correlation: must be positive definite"),
+        (MATRIX, "[[1.0, -0.6], [-0.5, 1.0]]", "correlation[0]: must be symmetric, found -0.6 and -0.5"),
+        (MATRIX, "[[1.0, -0.6], [-0.6, 0.9]]", "correlation[1]: must have 1 on the diagonal, found 0.9"),
+        (MATRIX, "[[1.0, -1.6], [-1.6, 1.0]]", "correlation[0]: must be from -1 to 1"),
+        (MATRIX, "[[1.0, nan], [nan, 1.0]]", "correlation[0]: must be from -1 to 1"),
+        (MATRIX, "[[1.0, -0.6]]", "correlation: must have 2 rows, found 1"),
+        (MATRIX, "[[1.0], [-0.6, 1.0]]", "correlation[0]: must have 2 entries, found 1"),
+        (NAMES, "[\"ahead_m\", \"nobody\"]", "parameters[1]: there is no parameter `nobody`"),
+        (NAMES, "[\"ahead_m\", \"ahead_m\"]", "parameters[1]: `ahead_m` is named twice"),
+        (NAMES, "[\"ahead_m\", \"class\"]", "parameters[1]: `class` is a class or a driver"),
+        (NAMES, "[\"ahead_m\"]", "parameters: must be 2 to 50, found 1"),
         ("gaussian-copula", "clayton-copula", "clayton-copula"),
-        (
-            "hours = 0.5\nkilometres = 30.0\n[[",
-            "hours = 0.0\nkilometres = 30.0\n[[",
-            "exposure.hours: must be a finite number above 0",
-        ),
-        (
-            "hours = 0.5\nkilometres = 30.0\n[[",
-            "hours = 0.6\nkilometres = 30.0\n[[",
-            "exposure.hours: is 0.6, and the sources add up to 0.5",
-        ),
+        (HOURS, "hours = 0.0\nkilometres = 30.0\n[[", "exposure.hours: must be a finite number above 0"),
+        (HOURS, "hours = 0.6\nkilometres = 30.0\n[[", "exposure.hours: is 0.6, and the sources add up to 0.5"),
         (
             "episodes = 3\nhours = 0.5\nkilometres = 30.0\n[[",
             "episodes = 0\nhours = 0.5\nkilometres = 30.0\n[[",

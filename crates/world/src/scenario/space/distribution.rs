@@ -45,10 +45,7 @@ impl DistributionSpec {
                 check_finite(".normal", "mean", normal.mean)?;
                 check_finite(".normal", "deviation", normal.deviation)?;
                 let gauss = Gauss::new(normal.mean, normal.deviation).ok().filter(|_| normal.deviation > 0.0);
-                let Some(gauss) = gauss else {
-                    let found = format_compact(normal.deviation);
-                    return Err((".normal", format!("deviation must be above 0, found {found}")));
-                };
+                let gauss = gauss.ok_or_else(|| not_positive(".normal", "deviation", normal.deviation))?;
                 truncate(".normal", ContinuousDistribution::Normal(gauss), normal.low, normal.high)
             }
             Self::LogNormal(of) => {
@@ -58,12 +55,7 @@ impl DistributionSpec {
                 check_finite(kind, "ln_mean", of.ln_mean)?;
                 check_finite(kind, "ln_deviation", of.ln_deviation)?;
                 let law = LogNormalLaw::new(of.ln_mean, of.ln_deviation).ok().filter(|_| of.ln_deviation > 0.0);
-                let Some(law) = law else {
-                    return Err((
-                        kind,
-                        format!("ln_deviation must be above 0, found {}", format_compact(of.ln_deviation)),
-                    ));
-                };
+                let law = law.ok_or_else(|| not_positive(kind, "ln_deviation", of.ln_deviation))?;
                 truncate(kind, ContinuousDistribution::LogNormal(law), of.low, of.high)
             }
             Self::Gamma(of) => {
@@ -150,6 +142,10 @@ fn truncate(
         return Err((kind, problem));
     }
     Ok(CoordinateMarginal::Truncated { low, high, distribution: law, cdf_low: below, mass })
+}
+
+fn not_positive(kind: &'static str, field: &str, found: f64) -> (&'static str, String) {
+    (kind, format!("{field} must be above 0, found {}", format_compact(found)))
 }
 
 fn check_non_negative(kind: &'static str, low: f64) -> Result<(), (&'static str, String)> {

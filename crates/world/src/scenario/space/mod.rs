@@ -68,7 +68,7 @@ use std::ops::Range;
 
 use rand::RngExt;
 
-pub use built_in::{BUILT_IN_SPACES, FindSpaceError, built_in_space, find_space};
+pub use built_in::{BUILT_IN_SPACES, FindSpaceError, built_in_space, built_in_space_summary, find_space};
 pub use check::{InvalidSpace, KEY_COLUMNS, RESULT_COLUMNS};
 pub use copula::{Dependence, GaussianCopula};
 pub use observed::{DrivingExposure, ObservedData, ObservedParameter, SourceExposure};
@@ -173,7 +173,6 @@ impl SpaceParameter {
         self.target.driver_vehicle() == Some(0)
     }
 
-    #[must_use]
     pub(crate) fn coordinate(&self, value: f64) -> f64 {
         self.marginal.coordinate(value)
     }

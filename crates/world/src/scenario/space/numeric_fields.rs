@@ -1,5 +1,6 @@
 //! Numeric fields of a scenario that may vary, by path.
 
+use super::field::VehicleField;
 use crate::scenario::{Driver, LaneChange, LeadProfile, PiecewiseAcceleration, ScenarioSpec, VehicleSpec};
 
 /// Path after `vehicles[i].`, unit, and accessor.
@@ -49,7 +50,7 @@ pub(super) const DRIVER_FIELDS: [DriverNumericField; 9] = [
     setting!("driver.ramp-brake.release_s", "s", RampBrake, release_s),
     setting!("driver.brake-to-speed.onset_s", "s", BrakeToSpeed, onset_s),
     setting!("driver.brake-to-speed.rate_mps2", "m/s²", BrakeToSpeed, rate_mps2),
-    setting!("driver.brake-to-speed.final_speed_mps", "m/s", BrakeToSpeed, final_speed_mps),
+    ("driver.brake-to-speed.final_speed_mps", "m/s", final_speed_mut),
 ];
 
 pub(super) type LaneChangeAccessor = fn(&mut VehicleSpec) -> Option<&mut LaneChange>;
@@ -58,24 +59,18 @@ pub(super) const LANE_CHANGES: [(&str, LaneChangeAccessor); 2] =
     [("enters.", |vehicle| vehicle.enters.as_mut()), ("leaves.", |vehicle| vehicle.leaves.as_mut())];
 
 pub(super) fn setting_mut(driver: &mut Driver, place: usize) -> Option<&mut f64> {
-    match driver {
-        Driver::Controller(spec) => spec.get_mut(place),
-        _ => None,
-    }
+    if let Driver::Controller(spec) = driver { spec.get_mut(place) } else { None }
 }
 
 pub(super) fn pieces_mut(driver: &mut Driver) -> Option<&mut PiecewiseAcceleration> {
-    match driver {
-        Driver::Profile(LeadProfile::Pieces(pieces)) => Some(pieces),
-        _ => None,
-    }
+    if let Driver::Profile(LeadProfile::Pieces(pieces)) = driver { Some(pieces) } else { None }
 }
 
 pub(super) fn accelerations_mut(driver: &mut Driver) -> Option<&mut [f64]> {
     pieces_mut(driver).map(|pieces| pieces.accel_mps2.as_mut_slice())
 }
 
-pub(super) fn recorded_speeds_mut(driver: &mut Driver) -> Option<&mut [f64]> {
+fn recorded_speeds_mut(driver: &mut Driver) -> Option<&mut [f64]> {
     match driver {
         Driver::Profile(LeadProfile::Recorded(recorded)) => Some(recorded.speed_mps.as_mut_slice()),
         _ => None,
@@ -92,18 +87,43 @@ pub(super) fn brake_rate_mut(driver: &mut Driver) -> Option<&mut f64> {
 }
 
 pub(super) fn final_speed_mut(driver: &mut Driver) -> Option<&mut f64> {
-    match driver {
-        Driver::Profile(LeadProfile::BrakeToSpeed(brake)) => Some(&mut brake.final_speed_mps),
-        _ => None,
-    }
+    if let Driver::Profile(LeadProfile::BrakeToSpeed(brake)) = driver { Some(&mut brake.final_speed_mps) } else { None }
 }
 
-const DERIVED_VEHICLE_FIELDS: [&str; 9] =
-    ["class", "driver", "gap_m", "time_gap_s", "closing_time_s", "speed_share", "size_m", "load", "brake_offset_mps2"];
+/// Path after `vehicles[i].`, unit, field, and the paths that it sets.
+type DerivedField = (&'static str, &'static str, VehicleField, &'static [&'static str]);
+
+pub(super) const DERIVED_FIELDS: [DerivedField; 19] = [
+    ("class", "", VehicleField::Class, &["class"]),
+    ("driver", "", VehicleField::ControllerChoice, &["driver"]),
+    ("gap_m", "m", VehicleField::Gap, &["position_m"]),
+    ("time_gap_s", "s", VehicleField::TimeGap, &["position_m"]),
+    ("closing_time_s", "s", VehicleField::ClosingTime, &["position_m"]),
+    ("speed_share", "1", VehicleField::SpeedShare, &["speed_mps"]),
+    ("size_m", "m", VehicleField::Size, &["class", "length_m"]),
+    ("load", "1", VehicleField::Load, &["mass_kg", "max_brake_mps2"]),
+    ("brake_offset_mps2", "m/s²", VehicleField::BrakeOffset, &["max_brake_mps2"]),
+    ("driver.brake.rate_share", "1", VehicleField::RateShare, &["driver.brake.rate_mps2"]),
+    ("driver.ramp-brake.rate_share", "1", VehicleField::RateShare, &["driver.ramp-brake.rate_mps2"]),
+    ("driver.brake-to-speed.rate_share", "1", VehicleField::RateShare, &["driver.brake-to-speed.rate_mps2"]),
+    (
+        "driver.brake-to-speed.final_share",
+        "1",
+        VehicleField::FinalSpeedShare,
+        &["driver.brake-to-speed.final_speed_mps"],
+    ),
+    ("driver.pieces.accel_mps2", "m/s²", VehicleField::Signal(accelerations_mut), &["driver.pieces.accel_mps2"]),
+    ("driver.pieces.brake_share", "1", VehicleField::PiecesShare, &["driver.pieces.accel_mps2"]),
+    ("driver.pieces.onset_s", "s", VehicleField::PiecesOnset, &["driver.pieces.onset_s"]),
+    ("driver.pieces.cruise_mps2", "m/s²", VehicleField::PiecesCruise, &["driver.pieces.accel_mps2"]),
+    ("driver.pieces.scale", "1", VehicleField::PiecesScale, &["driver.pieces.scale"]),
+    ("driver.recorded.speed_mps", "m/s", VehicleField::Signal(recorded_speeds_mut), &["driver.recorded.speed_mps"]),
+];
 
 pub(super) fn known_fields_text() -> String {
     let scenario = SCENARIO_FIELDS.iter().map(|(name, ..)| *name);
-    let vehicle = VEHICLE_FIELDS.iter().map(|(name, ..)| *name).chain(DERIVED_VEHICLE_FIELDS);
+    let derived = DERIVED_FIELDS.iter().map(|(name, ..)| *name).filter(|name| !name.starts_with("driver."));
+    let vehicle = VEHICLE_FIELDS.iter().map(|(name, ..)| *name).chain(derived);
     let (scenario, vehicle) = (scenario.collect::<Vec<_>>().join(", "), vehicle.collect::<Vec<_>>().join(", "));
     format!("there are {scenario}, and in vehicles[i]: {vehicle}, enters.WHEN, leaves.WHEN, driver.NAME.SETTING")
 }

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::check::{InvalidSpace, reject};
 use super::spec::SpaceSpec;
-use crate::scenario::format_compact;
+use crate::scenario::{format_compact, is_default};
 
 const MAX_SOURCES: usize = 1000;
 const MAX_EPISODES: usize = 10_000;
@@ -23,7 +23,7 @@ pub struct DrivingExposure {
     pub kilometres: f64,
     /// Number of brakings in this driving that the space does not describe. Failures per hour count them with the
     /// failure rate of the episodes. Default 0.
-    #[serde(rename = "left_out", default, skip_serializing_if = "is_zero")]
+    #[serde(rename = "left_out", default, skip_serializing_if = "is_default")]
     pub undescribed_brakings: u64,
     /// Exposure of each source, up to 1000; empty if unknown. The sums equal the numbers above.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -44,12 +44,8 @@ pub struct SourceExposure {
     /// Kilometres of following.
     pub kilometres: f64,
     /// Number of brakings that the space does not describe.
-    #[serde(rename = "left_out", default, skip_serializing_if = "is_zero")]
+    #[serde(rename = "left_out", default, skip_serializing_if = "is_default")]
     pub undescribed_brakings: u64,
-}
-
-fn is_zero(number: &u64) -> bool {
-    *number == 0
 }
 
 /// Values to which a distribution was fitted, for refits to resampled episodes.

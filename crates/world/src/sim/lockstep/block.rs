@@ -69,7 +69,7 @@ impl<'a> LockstepBlock<'a> {
             if step == self.next_end {
                 for lane in (0..self.lanes.len()).rev() {
                     if self.lanes[lane].steps == step {
-                        self.record_sample(lane, first.time_s(step, 0));
+                        self.record_sample(lane, first.time_grid.time_s(step, 0));
                         self.finish_run(lane, None, done);
                     }
                 }
@@ -77,12 +77,12 @@ impl<'a> LockstepBlock<'a> {
             if self.lanes.is_empty() {
                 return;
             }
-            self.decide([first.time_s(step, 0), first.time_s(step + 1, 0)], done);
+            self.decide([first.time_grid.time_s(step, 0), first.time_grid.time_s(step + 1, 0)], done);
             if self.lanes.is_empty() {
                 return;
             }
             for substep in 0..first.substeps() {
-                self.advance(first.time_s(step, substep), first.dt_s(), done);
+                self.advance(first.time_grid.time_s(step, substep), first.dt_s(), done);
             }
         }
     }

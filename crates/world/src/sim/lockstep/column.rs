@@ -11,7 +11,7 @@ use super::view::{NeighbourhoodView, StateSlices};
 use crate::control::ControllerFailure;
 use crate::estimate::{EgoEstimator, TrueState};
 use crate::policy::SimdClosure;
-use crate::sim::actuator::{Actuator, add_noise_unless_at_rest};
+use crate::sim::actuator::{Actuator, Disturbance, add_noise_unless_at_rest};
 use crate::sim::motion::Motion;
 use crate::sim::platoon::PlatoonState;
 use crate::sim::recorder::{VehicleExtremes, summarize_vehicle};
@@ -45,7 +45,7 @@ pub(super) struct VehicleColumn<'a> {
 impl<'a> VehicleColumn<'a> {
     pub(super) fn new(lanes: &[RunLane<'a>], platoons: &[PlatoonState], vehicle: usize) -> Self {
         let of = |take: &dyn Fn(&PlatoonState) -> f64| PerRun::from_values(platoons.iter().map(take));
-        let actuators: Vec<_> = lanes.iter().map(|lane| lane.run.actuator(vehicle)).collect();
+        let actuators: Vec<_> = lanes.iter().map(|lane| Actuator::new(lane.run.scenario(), vehicle)).collect();
         let estimator: Vec<_> =
             lanes.iter().zip(platoons).filter_map(|(lane, platoon)| lane.run.estimator(vehicle, platoon)).collect();
         let nothing = PerRun::constant(0.0, lanes.len());
@@ -55,7 +55,7 @@ impl<'a> VehicleColumn<'a> {
             max_brake_mps2: PerRun::from_values(actuators.iter().map(|actuator| actuator.max_brake_mps2)),
             max_accel_mps2: PerRun::from_values(actuators.iter().map(|actuator| actuator.max_accel_mps2)),
             actuators: if actuators.iter().all(Actuator::is_immediate) { Vec::new() } else { actuators },
-            noise: Noise::new(lanes.iter().map(|lane| lane.run.disturbance(vehicle)).collect()),
+            noise: Noise::new(lanes.iter().map(|lane| Disturbance::new(lane.run.scenario(), vehicle)).collect()),
             length_m: of(&|platoon| platoon.length_m[vehicle]),
             mass_kg: of(&|platoon| platoon.mass_kg[vehicle]),
             position_m: of(&|platoon| platoon.motion[vehicle].position_m),
@@ -170,13 +170,9 @@ impl<'a> VehicleColumn<'a> {
 
     /// Finds the runs in which this vehicle and its leader may collide, or are closest, inside the step.
     pub(super) fn screen(&self, arch: Arch, front: &Self, dt_s: f64) -> RunSet {
-        let now = PairSlices {
-            front_m: front.position_m.padded(),
-            front_length_m: front.length_m.padded(),
-            rear_m: self.position_m.padded(),
-            front_mps: front.speed_mps.padded(),
-            rear_mps: self.speed_mps.padded(),
-        };
+        let now: PairSlices<'_> =
+            [&front.position_m, &front.length_m, &self.position_m, &front.speed_mps, &self.speed_mps]
+                .map(PerRun::padded);
         let next_mps = [front.next_speed_mps.padded(), self.next_speed_mps.padded()];
         arch.dispatch(SimdClosure(
             #[inline(always)]
@@ -185,13 +181,9 @@ impl<'a> VehicleColumn<'a> {
     }
 
     pub(super) fn update_min_gap_and_ttc(&mut self, arch: Arch, front: &Self) {
-        let next = PairSlices {
-            front_m: front.next_position_m.padded(),
-            front_length_m: front.length_m.padded(),
-            rear_m: self.next_position_m.padded(),
-            front_mps: front.next_speed_mps.padded(),
-            rear_mps: self.next_speed_mps.padded(),
-        };
+        let (front_mps, rear_mps) = (&front.next_speed_mps, &self.next_speed_mps);
+        let next: PairSlices<'_> =
+            [&front.next_position_m, &front.length_m, &self.next_position_m, front_mps, rear_mps].map(PerRun::padded);
         let (min_gap_m, min_ttc_s) = (&mut self.min_gap_m, &mut self.min_ttc_s);
         arch.dispatch(SimdClosure(
             #[inline(always)]

@@ -134,8 +134,8 @@ impl Drivers<'_> {
         commands: &mut [f64],
         failed: &mut Vec<(usize, ControllerFailure)>,
     ) {
-        match self {
-            Self::Followers(followers) => followers.command(arch, view, commands),
+        match (&*self, &view.front) {
+            (Self::Followers(followers), Some(front)) => followers.command(arch, &view.own, front, commands),
             _ => self.command(
                 arch,
                 span_s,
@@ -149,12 +149,8 @@ impl Drivers<'_> {
     }
 
     pub(super) fn shielded_controller(&self, run: usize) -> Option<&AnyController> {
-        match self {
-            Self::Mixed(drivers) => match drivers.get(run) {
-                Some(VehicleController::Controller(controller)) => Some(controller),
-                _ => None,
-            },
-            _ => None,
-        }
+        let Self::Mixed(drivers) = self else { return None };
+        let VehicleController::Controller(controller) = drivers.get(run)? else { return None };
+        Some(controller)
     }
 }

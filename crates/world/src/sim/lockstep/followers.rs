@@ -4,7 +4,7 @@ use pulp::Arch;
 
 use super::loops;
 use super::per_run::PerRun;
-use super::view::NeighbourhoodView;
+use super::view::StateSlices;
 use crate::control::Idm;
 use crate::policy::SimdClosure;
 
@@ -22,14 +22,9 @@ impl Followers {
         Idm::from_array(std::array::from_fn(|number| self.0[number][run]))
     }
 
-    pub(super) fn command(&self, arch: Arch, view: &NeighbourhoodView<'_>, decided_mps2: &mut [f64]) {
-        let own = [view.own.position_m, view.own.speed_mps];
-        let Some(front) = &view.front else {
-            for (run, (decided_mps2, &speed_mps)) in decided_mps2.iter_mut().zip(own[1]).enumerate() {
-                *decided_mps2 = self.model(run).acceleration_mps2(speed_mps, None);
-            }
-            return;
-        };
+    /// Computes the commands behind vehicles `front`.
+    pub(super) fn command(&self, arch: Arch, own: &StateSlices<'_>, front: &StateSlices<'_>, decided_mps2: &mut [f64]) {
+        let own = [own.position_m, own.speed_mps];
         let models = self.0.each_ref().map(PerRun::padded);
         let ahead = [front.position_m, front.length_m, front.speed_mps];
         arch.dispatch(SimdClosure(

@@ -69,27 +69,19 @@ pub(super) fn update_max_brake(max_mps2: &mut [f64], a: &[f64]) {
     }
 }
 
-#[derive(Clone, Copy)]
-pub(super) struct PairSlices<'a> {
-    pub(super) front_m: &'a [f64],
-    pub(super) front_length_m: &'a [f64],
-    pub(super) rear_m: &'a [f64],
-    pub(super) front_mps: &'a [f64],
-    pub(super) rear_mps: &'a [f64],
-}
+/// Position and length of the front vehicle, position of the rear one, speeds of both.
+pub(super) type PairSlices<'a> = [&'a [f64]; 5];
 
-impl<'a> PairSlices<'a> {
-    #[inline(always)]
-    fn first(&self, n: usize) -> [&'a [f64]; 5] {
-        [&self.front_m[..n], &self.front_length_m[..n], &self.rear_m[..n], &self.front_mps[..n], &self.rear_mps[..n]]
-    }
+#[inline(always)]
+fn first_runs<'a>(pair: PairSlices<'a>, n: usize) -> PairSlices<'a> {
+    [&pair[0][..n], &pair[1][..n], &pair[2][..n], &pair[3][..n], &pair[4][..n]]
 }
 
 /// Finds the runs in which two vehicles may collide, or are closest, inside a step.
 #[inline(always)]
 pub(super) fn screen(dt_s: f64, now: PairSlices<'_>, [next_front_mps, next_rear_mps]: [&[f64]; 2]) -> RunSet {
-    let n = now.front_m.len();
-    let [front_m, length_m, rear_m, front_mps, rear_mps] = now.first(n);
+    let n = now[0].len();
+    let [front_m, length_m, rear_m, front_mps, rear_mps] = first_runs(now, n);
     let (next_front_mps, next_rear_mps) = (&next_front_mps[..n], &next_rear_mps[..n]);
     let mut found = 0;
     for run in 0..n {
@@ -104,7 +96,7 @@ pub(super) fn screen(dt_s: f64, now: PairSlices<'_>, [next_front_mps, next_rear_
 #[inline(always)]
 pub(super) fn update_min_gap_and_ttc(now: PairSlices<'_>, min_gap_m: &mut [f64], min_ttc_s: &mut [f64]) {
     let n = min_gap_m.len();
-    let [front_m, length_m, rear_m, front_mps, rear_mps] = now.first(n);
+    let [front_m, length_m, rear_m, front_mps, rear_mps] = first_runs(now, n);
     let min_ttc_s = &mut min_ttc_s[..n];
     for run in 0..n {
         let gap_m = front_m[run] - length_m[run] - rear_m[run];

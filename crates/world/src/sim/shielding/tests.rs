@@ -4,9 +4,7 @@
 use super::*;
 use crate::control::{ControllerKind, ControllerSpec, ShieldedSource};
 use crate::observation::EstimatorKind;
-use crate::scenario::{
-    Brake, Environment, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass, built_in_scenario,
-};
+use crate::scenario::{Brake, Environment, Scenario, ScenarioSpec, VehicleClass, built_in_scenario};
 use crate::sim::{Outcome, RecordingLevel, RunError, RunOptions, SimulationResult, simulate};
 use proptest::prelude::*;
 
@@ -52,27 +50,26 @@ impl FarAway {
         let brake = Brake { onset_s: self.onset_s, rate_mps2: ahead.max_brake_mps2() };
         let rear_m = self.position_m - ahead.length_m() - gap_m;
         let duration_s = self.onset_s + (w / ahead_mps2).max((v + 2.0 * self.onset_s) / own_mps2) + 2.0;
+        let vehicles = vec![
+            VehicleSpec::new(ahead, self.position_m, w, Driver::Profile(LeadProfile::Brake(brake))),
+            VehicleSpec::new(own, rear_m, v, Driver::UnderTest),
+        ];
+        let duration_s = (duration_s / self.step_s).ceil() * self.step_s;
         let spec = ScenarioSpec {
-            version: SCENARIO_VERSION,
-            name: "far away".to_owned(),
-            about: String::new(),
-            duration_s: (duration_s / self.step_s).ceil() * self.step_s,
             step_s: self.step_s,
-            seed: 0,
             environment: Environment { friction: self.friction },
-            sensors: Sensors::default(),
-            vehicles: vec![
-                VehicleSpec::new(ahead, self.position_m, w, Driver::Profile(LeadProfile::Brake(brake))),
-                VehicleSpec::new(own, rear_m, v, Driver::UnderTest),
-            ],
+            ..ScenarioSpec::new("far away".to_owned(), duration_s, vehicles)
         };
         Scenario::new(spec).unwrap()
     }
 
-    fn simulate(&self) -> SimulationResult {
+    fn shielded_options(&self) -> RunOptions {
         let controller = ShieldedSource { controller: self.driver.clone().into(), settings: ShieldSettings::default() };
-        let options = RunOptions::new(ControllerKind::from(controller)).with_estimator(EstimatorKind::Truth);
-        let options = options.with_dt_s(self.step_s / f64::from(self.substeps));
+        RunOptions::new(ControllerKind::from(controller)).with_estimator(EstimatorKind::Truth)
+    }
+
+    fn simulate(&self) -> SimulationResult {
+        let options = self.shielded_options().with_dt_s(self.step_s / f64::from(self.substeps));
         simulate(&Run::new(&self.scenario(), options).unwrap(), RecordingLevel::Summary)
     }
 }
@@ -110,9 +107,7 @@ fn where_rounding_takes_more_than_a_margin_can_pay_for_the_shield_refuses() {
             (spec.duration_s, spec.step_s) = (duration_s, 0.01);
             spec.vehicles[0].driver = Driver::Controller(ControllerSpec::Idm(Default::default()));
         });
-        let controller = ShieldedSource { controller: far.driver.clone().into(), settings: ShieldSettings::default() };
-        let options = RunOptions::new(ControllerKind::from(controller)).with_estimator(EstimatorKind::Truth);
-        Run::new(&long.unwrap(), options).err()
+        Run::new(&long.unwrap(), far.shielded_options()).err()
     };
     assert!(refusal(3600.0).is_none());
     let Some(RunError::Shield { vehicle: 1, refusal: why }) = refusal(20_000.0) else { panic!("not refused") };
@@ -122,15 +117,12 @@ fn where_rounding_takes_more_than_a_margin_can_pay_for_the_shield_refuses() {
 
 #[test]
 fn motion_bounds_contain_the_motion() {
-    let controller =
-        |far: &FarAway| ShieldedSource { controller: far.driver.clone().into(), settings: ShieldSettings::default() };
     for (onset_s, bound_by_kernel) in [(2.0, false), (40.0, true)] {
         let classes = [VehicleClass::Heavy, VehicleClass::Light];
         let far = FarAway { onset_s, spare_m: 50.0, ..FarAway::from_report(0.6, 1e4, classes) };
         let scenario = far.scenario();
         let travel = |dt_s: f64| {
-            let options = RunOptions::new(ControllerKind::from(controller(&far))).with_dt_s(dt_s);
-            let run = Run::new(&scenario, options.with_estimator(EstimatorKind::Truth)).unwrap();
+            let run = Run::new(&scenario, far.shielded_options().with_dt_s(dt_s)).unwrap();
             run.motion_bounds(0, &run.shield_params(1, &ShieldSettings::default()).unwrap())
         };
         let (whole, halves) = (travel(2e-4), travel(1e-4));

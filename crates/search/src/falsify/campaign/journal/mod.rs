@@ -81,9 +81,7 @@ impl Journal {
             return Ok(());
         }
         let mut index = 0;
-        while let JournalEntry::Record(..) =
-            read_record(&mut records, identity, index).map_err(unusable)?.reject_damage(path, index)?
-        {
+        while let JournalEntry::Record(..) = read_record(&mut records, path, identity, index)? {
             index += 1;
         }
         Ok(())
@@ -111,10 +109,7 @@ impl Journal {
     pub(super) fn next_verdict(&mut self) -> Result<Option<RunVerdict>, RunFolderError> {
         let Some(earlier) = &mut self.previous_records else { return Ok(None) };
         let unusable = DiskError::at(&self.path);
-        match read_record(earlier, &self.identity, self.record_count)
-            .map_err(unusable)?
-            .reject_damage(&self.path, self.record_count)?
-        {
+        match read_record(earlier, &self.path, &self.identity, self.record_count)? {
             JournalEntry::Record(body, checksum) => {
                 self.record_count += 1;
                 self.digest.update(body);
@@ -179,7 +174,7 @@ pub(super) fn read_verdicts_after(
     let mut verdicts = Vec::new();
     while verdicts.len() < most {
         let index = known + verdicts.len() as u64;
-        match read_record(&mut records, identity, index).map_err(unusable)?.reject_damage(path, index)? {
+        match read_record(&mut records, path, identity, index)? {
             JournalEntry::Record(body, _) => verdicts.push(decode(&body)),
             _ => break,
         }

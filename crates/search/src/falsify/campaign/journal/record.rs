@@ -4,6 +4,7 @@ use std::io::{self, Read};
 use std::path::Path;
 
 use crumple_core::digest::Sha256;
+use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
 use crumple_world::measure::{BrakingLevel, FirstContact, RunVerdict};
 use crumple_world::scenario::VehicleClass;
@@ -24,39 +25,33 @@ pub(super) enum JournalEntry {
     Truncated,
     /// Only zeros to the end, as a loss of power leaves them.
     Zeros,
-    /// Any other content.
-    Damaged,
 }
 
-impl JournalEntry {
-    pub(super) fn reject_damage(self, path: &Path, index: u64) -> Result<Self, RunFolderError> {
-        match self {
-            Self::Damaged => Err(RunFolderError::damaged(
-                path,
-                format!(
-                    "record {} is damaged, its checksum does not match: this campaign cannot be resumed; remove its \
-                     folder, or use another --out",
-                    index + 1
-                ),
-            )),
-            found => Ok(found),
-        }
-    }
-}
-
-pub(super) fn read_record(journal: &mut impl Read, identity: &str, index: u64) -> io::Result<JournalEntry> {
+/// Reads the next record, and rejects a damaged one.
+pub(super) fn read_record(
+    journal: &mut impl Read,
+    path: &Path,
+    identity: &str,
+    index: u64,
+) -> Result<JournalEntry, RunFolderError> {
+    let unusable = DiskError::at(path);
     let (mut body, mut checksum) = ([0; BODY_BYTES], [0; CHECKSUM_BYTES]);
     match journal.read_exact(&mut body).and_then(|()| journal.read_exact(&mut checksum)) {
         Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => return Ok(JournalEntry::Truncated),
-        read => read?,
+        read => read.map_err(unusable)?,
     }
     if checksum == record_checksum(identity, index, &body) {
-        Ok(JournalEntry::Record(body, checksum))
-    } else if body == [0; BODY_BYTES] && checksum == [0; CHECKSUM_BYTES] && is_all_zero(journal)? {
-        Ok(JournalEntry::Zeros)
-    } else {
-        Ok(JournalEntry::Damaged)
+        return Ok(JournalEntry::Record(body, checksum));
     }
+    if body == [0; BODY_BYTES] && checksum == [0; CHECKSUM_BYTES] && is_all_zero(journal).map_err(unusable)? {
+        return Ok(JournalEntry::Zeros);
+    }
+    let problem = format!(
+        "record {} is damaged, its checksum does not match: this campaign cannot be resumed; remove its folder, or use \
+         another --out",
+        index + 1
+    );
+    Err(RunFolderError::damaged(path, problem))
 }
 
 pub(super) fn is_all_zero(rest: &mut impl Read) -> io::Result<bool> {

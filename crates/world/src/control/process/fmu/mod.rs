@@ -46,6 +46,25 @@ pub enum FmuProblem {
     Mapping(#[from] InvalidMapping),
 }
 
+impl FmuProblem {
+    /// Describes the problem with the path of the FMU.
+    pub(crate) fn describe(&self, path: &std::path::Path) -> String {
+        let path = path.display();
+        match self {
+            #[cfg(feature = "process")]
+            Self::Fmu(crumple_fmu::FmuError::Read(source)) if source.kind() == std::io::ErrorKind::NotFound => {
+                format!("there is no file {path}")
+            }
+            #[cfg(feature = "process")]
+            Self::Fmu(crumple_fmu::FmuError::Description(_)) => format!("{path}: {self}"),
+            Self::ProcessFeatureDisabled | Self::Mapping(_) => format!("{path}: {self}"),
+            #[cfg(feature = "process")]
+            Self::Fmu(_) => format!("{path} {self}"),
+            Self::MissingHost => format!("{path} {self}"),
+        }
+    }
+}
+
 #[cfg(not(feature = "process"))]
 impl super::ProcessSetup {
     pub(crate) fn from_fmu(_: &std::path::Path, _: &str, _: FmuConfig) -> Result<Self, FmuProblem> {

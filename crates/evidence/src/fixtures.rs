@@ -1,0 +1,60 @@
+//! Plans and folders for tests.
+
+use std::path::Path;
+
+use crumple_store::run_folder::{CompletedRun, RunState, read_state};
+use crumple_world::control::ControllerSpec;
+use crumple_world::measure::Specification;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::space::built_in_space;
+use crumple_world::sim::NamedController;
+
+use crate::rare::{RareMethod, RarePlan, SplittingConfig};
+use crate::{CountTally, RateConfig, RatePlan};
+
+pub(crate) fn controller(name: &str) -> NamedController {
+    ControllerSpec::from_name(name).unwrap().into()
+}
+
+pub(crate) fn rate_plan(
+    name: &str,
+    against: Option<&str>,
+    (space, runs): (&str, u64),
+    (seed, confidence): (u64, f64),
+) -> RatePlan {
+    RatePlan::new(RateConfig {
+        second_controller: against.map(controller),
+        seed,
+        estimator: EstimatorKind::Truth,
+        confidence,
+        ..RateConfig::new(controller(name), built_in_space(space).unwrap(), runs)
+    })
+    .unwrap()
+}
+
+pub(crate) fn count_all(plan: &RatePlan) -> CountTally {
+    let mut tally = plan.empty_tally();
+    while tally.runs < plan.registration().runs {
+        plan.count_batch(&mut tally).unwrap();
+    }
+    tally
+}
+
+pub(crate) fn rare_plan(method: RareMethod, seed: u64, repetitions: usize) -> RarePlan {
+    RarePlan {
+        controller: controller("match-leader"),
+        space: built_in_space("paper").unwrap(),
+        estimator: EstimatorKind::Truth,
+        specification: Specification::NoContact,
+        method,
+        seed,
+        effort: SplittingConfig { samples: 50, repetitions },
+    }
+}
+
+pub(crate) fn read_completed(folder: &Path) -> CompletedRun {
+    match read_state(folder).unwrap() {
+        RunState::Complete(finished) => finished,
+        other => panic!("{other:?}"),
+    }
+}
