@@ -1,6 +1,6 @@
 //! The follower: what drives it, and whether its emergency brake has fired.
 
-use super::jitter::Jitter;
+use super::jitter::{BANDWIDTH_RAD_PER_S, Jitter};
 use crate::control::{AccAeb, AccAebSettings, BuiltIn, Controller, Ego};
 use crate::idm::{Idm, IdmSettings};
 use crate::observation::{Neighbour, Observation};
@@ -17,10 +17,10 @@ const SETTLING_S: f64 = 0.6;
 const AVERAGING_S: f64 = 0.3;
 /// Time for which evidence counts, in seconds.
 const MEMORY_S: f64 = 1.5;
-/// Time after which errors of an estimated acceleration are independent, in seconds: about 1.5 / ω of the filter.
+/// Time after which errors of an estimate are independent, in seconds: about 1.5 / ω of the filter.
 const CORRELATION_S: f64 = 0.3;
-/// Standard deviation of accelerations that no hypothesis explains, in m/s².
-const MODEL_DEVIATION_MPS2: f64 = 0.2;
+/// Standard deviation of changes of speed that no hypothesis explains, in m/s.
+const MODEL_DEVIATION_MPS: f64 = 0.2;
 /// Time constant of each of two lags from demanded to estimated acceleration, in seconds: reaction, and the filter.
 const LAG_S: f64 = 0.3;
 
@@ -29,8 +29,11 @@ const HYPOTHESES: usize = 3;
 
 /// State of the follower and likelihoods of the hypotheses about its driver.
 ///
-/// Each hypothesis predicts an acceleration a_i from the present observation. Its log-likelihood, forgotten over
-/// [`MEMORY_S`], gains -(a - a_i)²/(2 σ²) each [`CORRELATION_S`], where σ includes the noise of the estimate.
+/// Each hypothesis predicts an acceleration a_i from the present observation, and so a change of speed over the last
+/// [`MEMORY_S`]: w' = a_i - w / [`MEMORY_S`]. The observed one is the speed less its average over that time. The
+/// log-likelihood, forgotten over [`MEMORY_S`], gains -(error)²/(2 σ²) each [`CORRELATION_S`]. σ includes the noise of the
+/// estimated speed, which is that of the acceleration divided by the bandwidth of the filter. Speeds discriminate better
+/// than accelerations, whose noise is larger.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Follower {
     step_s: f64,
@@ -40,6 +43,10 @@ pub(super) struct Follower {
     jitter: Jitter,
     /// Predicted accelerations after one and two lags, in m/s².
     predicted_mps2: [[f64; 2]; HYPOTHESES],
+    /// Predicted changes of speed, in m/s.
+    predicted_mps: [f64; HYPOTHESES],
+    /// Average speed of the follower, in m/s; none before the first observation.
+    average_mps: Option<f64>,
     log_likelihoods: [f64; HYPOTHESES],
     fired_for_s: Option<f64>,
     brake_mps2: f64,
@@ -55,6 +62,8 @@ impl Follower {
             idm: Idm::from(&IdmSettings::default()),
             jitter: Jitter::new(ego.step_s),
             predicted_mps2: [[0.0; 2]; HYPOTHESES],
+            predicted_mps: [0.0; HYPOTHESES],
+            average_mps: None,
             log_likelihoods: [0.0; HYPOTHESES],
             fired_for_s: None,
             brake_mps2: 0.0,
@@ -118,17 +127,24 @@ impl Follower {
         let acc_mps2 = self.acc.decide(&view).unwrap_or(0.0);
         let idm_mps2 = self.idm.desired_acceleration_mps2(&view);
         self.jitter.observe(behind.acceleration_mps2, 0.0);
-        let variance = MODEL_DEVIATION_MPS2 * MODEL_DEVIATION_MPS2 + self.jitter.acceleration_variance();
+        let bandwidth = BANDWIDTH_RAD_PER_S;
+        let speed_variance = self.jitter.acceleration_variance() / (bandwidth * bandwidth);
+        let variance = MODEL_DEVIATION_MPS * MODEL_DEVIATION_MPS + speed_variance;
         let share = |time_s: f64| (self.step_s / time_s).min(1.0);
         let [lag, forgotten, counted] = [LAG_S, MEMORY_S, CORRELATION_S].map(share);
+        let average_mps = self.average_mps.get_or_insert(behind.speed_mps);
+        *average_mps += forgotten * (behind.speed_mps - *average_mps);
+        let change_mps = behind.speed_mps - *average_mps;
         let demanded_mps2 = [0.0, acc_mps2, idm_mps2].map(|demand| demand.max(-7.5).min(3.0));
         for (index, demand_mps2) in demanded_mps2.into_iter().enumerate() {
             let [once_mps2, twice_mps2] = &mut self.predicted_mps2[index];
             *once_mps2 += lag * (demand_mps2 - *once_mps2);
             *twice_mps2 += lag * (*once_mps2 - *twice_mps2);
-            let error_mps2 = behind.acceleration_mps2 - *twice_mps2;
+            let predicted_mps = &mut self.predicted_mps[index];
+            *predicted_mps += self.step_s * *twice_mps2 - forgotten * *predicted_mps;
+            let error_mps = change_mps - *predicted_mps;
             let log_likelihood = &mut self.log_likelihoods[index];
-            *log_likelihood -= forgotten * *log_likelihood + counted * error_mps2 * error_mps2 / (2.0 * variance);
+            *log_likelihood -= forgotten * *log_likelihood + counted * error_mps * error_mps / (2.0 * variance);
         }
     }
 }

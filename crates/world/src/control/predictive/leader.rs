@@ -2,8 +2,6 @@
 
 use crate::observation::Neighbour;
 
-/// Smallest deceleration in a prediction, in m/s²: makes stopping distances finite.
-pub(super) const MIN_BRAKE_MPS2: f64 = 0.05;
 /// Averaged deceleration that exceeds everyday traffic, in m/s²; the space `traffic` has at most 2.5.
 const HARD_MPS2: f64 = 2.65;
 /// Averaged acceleration at which hard braking is over, in m/s².
@@ -37,12 +35,5 @@ impl Leader {
     /// True from hard braking until the leader speeds up.
     pub(super) fn brakes_hard(&self) -> bool {
         self.brakes_hard
-    }
-
-    /// Returns the deceleration to predict, in m/s², positive: the present one, and at least `least_mps2` in an
-    /// emergency.
-    pub(super) fn predicted_brake_mps2(&self, ahead: &Neighbour, least_mps2: f64, is_emergency: bool) -> f64 {
-        let least_mps2 = if is_emergency { least_mps2.max(MIN_BRAKE_MPS2) } else { MIN_BRAKE_MPS2 };
-        least_mps2.max(-ahead.acceleration_mps2)
     }
 }

@@ -25,53 +25,54 @@ use crate::observation::{Neighbour, Observation};
 use crate::settings::settings;
 
 settings! {
-    /// Settings of the predictive two-sided controller.
+    /// Settings of the predictive two-sided controller. Decelerations are those on a dry road; the controller multiplies
+    /// them by the friction that it estimates.
     PredictiveSettings {
         /// Desired time headway while following, in seconds (the Intelligent Driver Model's).
         time_headway_s: 1.6, 0.0..=10.0, 0.5..=3.0;
         /// Distance to the leader that no plan uses, in metres: errors of gap and stopping place.
-        margin_m: 1.0, 0.0..=100.0, 0.0..=5.0;
-        /// Least deceleration of the leader that giving way allows for, on a dry road, in m/s²: it may brake harder later.
+        margin_m: 0.4, 0.0..=100.0, 0.0..=5.0;
+        /// Least deceleration of the leader in predictions, in m/s²: it may brake harder later.
         ahead_brake_mps2: 4.0, 0.0..=30.0, 0.0..=9.0;
-        /// Share of the available braking that the leader must require before the controller brakes by that much.
-        late_brake_share: 0.8, 0.1..=1.0, 0.4..=1.0;
-        /// Deceleration of the follower on a dry road before it is observed, in m/s²: a laden lorry has 5 to 6.
-        behind_brake_mps2: 4.2, 0.1..=30.0, 3.0..=9.0;
+        /// Deceleration of the follower before it is observed, in m/s²: a laden lorry has 5 to 6.
+        behind_brake_mps2: 4.3, 0.1..=30.0, 3.0..=9.0;
         /// Time from the firing of the follower's emergency brake to its deceleration, in seconds.
-        behind_delay_s: 0.2, 0.0..=10.0, 0.0..=1.0;
+        behind_delay_s: 0.1, 0.0..=10.0, 0.0..=1.0;
         /// Probability, before any observation, that the follower has nothing but an emergency brake.
-        unaware_share: 0.1, 0.0..=1.0, 0.05..=0.95;
+        unaware_share: 0.08, 0.0..=1.0, 0.01..=0.5;
         /// Slack between the predicted stopping places of leader and follower below which to wake the follower, in metres.
-        wake_slack_m: 13.0, 0.0..=1000.0, 0.0..=40.0;
+        wake_slack_m: 14.0, 0.0..=1000.0, 0.0..=40.0;
+        /// That slack while the leader brakes harder than in everyday traffic, in metres.
+        emergency_slack_m: 42.0, 0.0..=1000.0, 0.0..=100.0;
         /// Deceleration per metre of missing slack, in 1/s².
-        wake_gain_per_s2: 2.0, 0.0..=100.0, 0.5..=5.0;
-        /// Speed difference at which waking ends, on a dry road, in m/s; times √µ. From a larger one no vehicle escapes.
-        wake_closing_mps: 19.0, 0.1..=100.0, 10.0..=30.0;
+        wake_gain_per_s2: 1.9, 0.0..=100.0, 0.5..=5.0;
+        /// Deceleration by which to wake the follower in predictions, in m/s².
+        wake_brake_mps2: 6.7, 0.1..=30.0, 1.5..=9.0;
+        /// Speed difference at which waking ends, in m/s; times √µ. From a larger one no vehicle escapes.
+        wake_closing_mps: 18.6, 0.1..=100.0, 10.0..=30.0;
+        /// Time constant of waking in everyday traffic, in seconds: comfort.
+        wake_lag_s: 0.4, 0.01..=10.0, 0.05..=1.2;
         /// Smallest predicted gap to a braking follower that needs no giving way, in metres.
-        room_behind_m: 1.6, 0.0..=100.0, 0.0..=12.0;
+        room_behind_m: 0.9, 0.0..=100.0, 0.0..=12.0;
         /// Acceleration per metre of missing room behind, in 1/s².
-        room_gain_per_s2: 3.5, 0.0..=100.0, 0.5..=5.0;
-        /// Largest acceleration while giving way, in m/s².
-        give_way_accel_mps2: 2.8, 0.0..=30.0, 0.0..=3.0;
-        /// Deceleration beyond the justified one, in m/s², for a leader that brakes as in everyday traffic.
-        excess_brake_mps2: 2.7, 0.0..=30.0, 0.0..=4.0;
-        /// Deceleration beyond the justified one, in m/s², for a leader that brakes harder.
-        emergency_excess_brake_mps2: 3.7, 0.0..=30.0, 0.0..=9.0;
+        room_gain_per_s2: 4.0, 0.0..=100.0, 0.5..=6.0;
+        /// Deceleration beyond the justified one, in m/s², unless the leader brakes harder than in everyday traffic.
+        excess_brake_mps2: 1.85, 0.0..=30.0, 0.0..=4.0;
     }
 }
 
-/// Braking harder than this counts as hard ([`crate::measure`]), in m/s²; allowed where it is nearly justified.
-const HARD_BRAKE_MPS2: f64 = 3.8;
-/// Justified deceleration from which hard braking is no longer unnecessary, in m/s².
-const HARD_BRAKE_CAUSE_MPS2: f64 = 3.0;
-/// Slack to a leader that brakes harder than in everyday traffic, as a multiple of the wanted one.
-const EMERGENCY_SLACK_FACTOR: f64 = 2.0;
-/// Mean deceleration while waking, in m/s².
-const WAKE_BRAKE_MPS2: f64 = 4.0;
-/// Share of the available braking that plans use: estimates of it may be high.
-const PLANNED_BRAKE_SHARE: f64 = 1.0;
-/// Share of the available braking that the leader must require of an ego vehicle with a braking follower.
+/// Share of the available braking that the leader must require before the ego vehicle brakes by that much.
 const LATEST_BRAKE_SHARE: f64 = 0.97;
+/// Braking harder than this counts as hard ([`crate::measure`]: 4 m/s², less errors of the estimate), in m/s².
+const HARD_BRAKE_MPS2: f64 = 3.8;
+/// Justified deceleration from which hard braking is not unnecessary (3 m/s², plus errors of the estimate), in m/s².
+const HARD_BRAKE_CAUSE_MPS2: f64 = 3.5;
+/// Smallest deceleration in a prediction, in m/s²: makes stopping distances finite.
+const MIN_BRAKE_MPS2: f64 = 0.05;
+/// Waking deceleration that is too small to brake for, in m/s².
+const MIN_WAKE_MPS2: f64 = 1e-3;
+/// Time constant of waking in an emergency, in seconds.
+const EMERGENCY_LAG_S: f64 = 0.05;
 
 /// A controller that predicts the stopping places of leader and follower.
 #[derive(Debug, Clone, PartialEq)]
@@ -83,12 +84,15 @@ pub struct Predictive {
     friction: Friction,
     leader: Leader,
     follower: Follower,
+    step_s: f64,
+    /// Smoothed deceleration that wakes the follower, in m/s².
+    wake_mps2: f64,
 }
 
 impl BuiltIn for Predictive {
     const NAME: &'static str = "predictive";
     const SUMMARY: &'static str =
-        "follows by idm, wakes an inattentive follower early, then divides the room ahead and behind";
+        "follows by idm, wakes an inattentive follower early, and stops between leader and follower";
     type Settings = PredictiveSettings;
     type Driver = Self;
 
@@ -102,6 +106,8 @@ impl BuiltIn for Predictive {
             friction: Friction::new(ego),
             leader: Leader::new(ego.step_s),
             follower: Follower::new(settings.unaware_share, ego),
+            step_s: ego.step_s,
+            wake_mps2: 0.0,
         }
     }
 }
@@ -131,31 +137,33 @@ struct Outlook {
 
 impl Predictive {
     fn command_mps2(&mut self, seen: &Observation) -> f64 {
-        let usable_mps2 = self.friction.usable_brake_mps2(seen);
+        let own_brake_mps2 = self.friction.usable_brake_mps2(seen);
         let follow_mps2 = self.idm.desired_acceleration_mps2(seen);
         let Some(ahead) = seen.ahead else { return follow_mps2 };
-        let friction = usable_mps2 / self.max_brake_mps2.max(f64::MIN_POSITIVE);
-        let own_brake_mps2 = PLANNED_BRAKE_SHARE * usable_mps2;
+        let friction = own_brake_mps2 / self.max_brake_mps2.max(f64::MIN_POSITIVE);
         self.leader.observe(&ahead);
         let gap_m = ahead.gap_m - self.settings.margin_m;
-        let has_fired = match &seen.behind {
-            Some(behind) => self.follower.observe(behind, seen, self.settings.behind_brake_mps2 * friction),
-            None => false,
-        };
-        let ahead_brake_mps2 =
-            self.leader.predicted_brake_mps2(&ahead, self.settings.ahead_brake_mps2 * friction, has_fired);
+        let ahead_brake_mps2 = (self.settings.ahead_brake_mps2 * friction).max(-ahead.acceleration_mps2);
         let way_m = gap_m + stopping_distance_m(ahead.speed_mps, ahead_brake_mps2);
         let outlook = Outlook { own_mps: seen.speed_mps, ahead, ahead_brake_mps2, way_m, own_brake_mps2, friction };
-
         let wanted_mps2 = match &seen.behind {
-            Some(behind) if has_fired => follow_mps2.max(self.give_way(&outlook, behind)),
-            Some(behind) => self.wake(&outlook, behind, follow_mps2),
+            Some(behind) => {
+                if self.follower.observe(behind, seen, self.settings.behind_brake_mps2 * friction) {
+                    self.wake_mps2 = 0.0;
+                    follow_mps2.max(self.give_way(&outlook, behind))
+                } else {
+                    self.wake(&outlook, behind, follow_mps2)
+                }
+            }
             None => follow_mps2,
         };
         let required_mps2 = required_brake_mps2(gap_m, ahead.speed_mps, -ahead.acceleration_mps2, seen.speed_mps);
         let limited_mps2 = self.limited(wanted_mps2, required_mps2, &outlook);
-        let late_share = if has_fired { LATEST_BRAKE_SHARE } else { self.settings.late_brake_share };
-        if required_mps2 > late_share * own_brake_mps2 { limited_mps2.min(-required_mps2) } else { limited_mps2 }
+        if required_mps2 > LATEST_BRAKE_SHARE * own_brake_mps2 {
+            limited_mps2.min(-required_mps2)
+        } else {
+            limited_mps2
+        }
     }
 
     /// Returns the acceleration that wakes the follower, or `follow_mps2` if that is not needed.
@@ -163,25 +171,26 @@ impl Predictive {
     /// The slack is the way from the stopping place of a follower that is woken from now on to that of the leader,
     /// s = g_a + v_a²/(2 b_a) + g_b - v_b (t + τ) - v_b²/(2 b_b), where t is the time to wake it. Below the wanted slack,
     /// brake by the gain times what is missing, times the probability that the follower has nothing but an emergency
-    /// brake.
-    /// The braking ends at the speed difference D from which a fired follower can be escaped.
-    fn wake(&self, outlook: &Outlook, behind: &Neighbour, follow_mps2: f64) -> f64 {
+    /// brake. The braking ends at the speed difference from which a fired follower can be escaped.
+    fn wake(&mut self, outlook: &Outlook, behind: &Neighbour, follow_mps2: f64) -> f64 {
         let all = &self.settings;
-        let behind_brake_mps2 = all.behind_brake_mps2 * outlook.friction;
         let closing_mps = behind.speed_mps - outlook.own_mps;
         let max_closing_mps = all.wake_closing_mps * outlook.friction.sqrt();
         if closing_mps >= max_closing_mps || behind.gap_m <= follower::FIRING_TTC_S * closing_mps {
             return follow_mps2.max(0.0);
         }
-        let brake_mps2 = WAKE_BRAKE_MPS2.min(PLANNED_BRAKE_SHARE * outlook.own_brake_mps2);
+        let brake_mps2 = all.wake_brake_mps2.min(outlook.own_brake_mps2);
         let waking_s = waking_time_s(behind.gap_m, closing_mps, brake_mps2, max_closing_mps);
         let behind_m = behind.speed_mps * (waking_s + all.behind_delay_s)
-            + stopping_distance_m(behind.speed_mps, behind_brake_mps2);
+            + stopping_distance_m(behind.speed_mps, all.behind_brake_mps2 * outlook.friction);
         let slack_m = outlook.way_m + behind.gap_m - behind_m;
-        let wanted_m = all.wake_slack_m * if self.leader.brakes_hard() { EMERGENCY_SLACK_FACTOR } else { 1.0 };
-        let missing_m = (wanted_m - slack_m).max(0.0);
-        let wake_mps2 = all.wake_gain_per_s2 * missing_m * self.follower.unaware_probability();
-        if missing_m > 0.0 { follow_mps2.min(-wake_mps2) } else { follow_mps2 }
+        let (wanted_m, lag_s) = match self.leader.brakes_hard() {
+            true => (all.emergency_slack_m, EMERGENCY_LAG_S),
+            false => (all.wake_slack_m, all.wake_lag_s),
+        };
+        let demand_mps2 = all.wake_gain_per_s2 * (wanted_m - slack_m).max(0.0) * self.follower.unaware_probability();
+        self.wake_mps2 += (self.step_s / lag_s).min(1.0) * (demand_mps2 - self.wake_mps2);
+        if self.wake_mps2 > MIN_WAKE_MPS2 { follow_mps2.min(-self.wake_mps2) } else { follow_mps2 }
     }
 
     /// Returns the smallest acceleration that a braking follower tolerates, or less if the room ahead is as short.
@@ -203,27 +212,31 @@ impl Predictive {
             f64::INFINITY
         };
         let missing_m = at_rest_m.min(moving_m).min(all.room_behind_m) - behind_m;
-        (all.room_gain_per_s2 * missing_m).min(all.give_way_accel_mps2)
+        all.room_gain_per_s2 * missing_m
     }
 
     /// Limits braking to a little more than the motion of the leader justifies, by the definition of
-    /// [`UnnecessaryBraking`](crate::measure::UnnecessaryBraking).
+    /// [`UnnecessaryBraking`](crate::measure::UnnecessaryBraking), unless the leader brakes hard.
     fn limited(&self, wanted_mps2: f64, required_mps2: f64, outlook: &Outlook) -> f64 {
+        if self.leader.brakes_hard() {
+            return wanted_mps2;
+        }
         let Neighbour { gap_m, speed_mps, acceleration_mps2 } = outlook.ahead;
         let followed_mps2 = self.idm.interaction_brake_mps2(outlook.own_mps, [gap_m, speed_mps]);
         let matched_mps2 = if gap_m < 3.0 * outlook.own_mps { -acceleration_mps2 } else { 0.0 };
         let justified_mps2 = required_mps2.max(followed_mps2).max(matched_mps2);
-        let all = &self.settings;
-        let is_emergency = self.leader.brakes_hard();
-        let excess_mps2 = if is_emergency { all.emergency_excess_brake_mps2 } else { all.excess_brake_mps2 };
-        let least_mps2 = if justified_mps2 < HARD_BRAKE_CAUSE_MPS2 { 0.0 } else { HARD_BRAKE_MPS2 };
-        wanted_mps2.max(-(justified_mps2 + excess_mps2).max(least_mps2))
+        let most_mps2 = justified_mps2 + self.settings.excess_brake_mps2;
+        wanted_mps2.max(-if justified_mps2 < HARD_BRAKE_CAUSE_MPS2 {
+            most_mps2.min(HARD_BRAKE_MPS2)
+        } else {
+            most_mps2
+        })
     }
 }
 
 /// Returns v²/(2 b), in metres.
 fn stopping_distance_m(speed_mps: f64, brake_mps2: f64) -> f64 {
-    speed_mps * speed_mps / (2.0 * brake_mps2.max(leader::MIN_BRAKE_MPS2))
+    speed_mps * speed_mps / (2.0 * brake_mps2.max(MIN_BRAKE_MPS2))
 }
 
 /// Returns the time until the gap to a follower of constant speed falls below θ times the closing speed, if the ego
