@@ -22,13 +22,14 @@ fn main() {
 }
 
 const RUNS: u64 = 1024;
-const CASES: [(&str, EstimatorKind); 6] = [
+const CASES: [(&str, EstimatorKind); 7] = [
     ("baseline", EstimatorKind::Truth),
     ("baseline", EstimatorKind::Kalman),
     ("match-leader", EstimatorKind::Truth),
     ("match-leader", EstimatorKind::Kalman),
     ("idm", EstimatorKind::Truth),
     ("idm", EstimatorKind::Kalman),
+    ("predictive", EstimatorKind::Kalman),
 ];
 
 fn runs((controller, estimator): (&str, EstimatorKind), scenarios: &[Scenario]) -> Vec<Run> {

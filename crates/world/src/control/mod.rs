@@ -24,6 +24,8 @@ macro_rules! with_controllers {
                 Idm,
                 /// Adaptive cruise control with emergency braking.
                 AccAeb,
+                /// Predicts the stopping places of leader and follower, and drives between them.
+                Predictive,
                 /// Reference driver: the competent and careful human of UN R157.
                 CompetentHuman,
                 /// Reference driver: the simple model of UN R157.
@@ -63,6 +65,7 @@ mod mapping;
 mod match_leader;
 mod network;
 mod policy;
+mod predictive;
 mod process;
 mod quantity;
 mod r157_simple;
@@ -86,6 +89,7 @@ pub use match_leader::MatchLeader;
 pub use network::NetworkController;
 pub(crate) use network::NetworkDriver;
 pub use policy::{PolicyDriver, ReferencePolicy, RetrainedPolicy};
+pub use predictive::{Predictive, PredictiveSettings};
 pub(crate) use process::ProcessDriver;
 #[cfg(feature = "process")]
 pub use process::find_fmu_host;

@@ -1,0 +1,273 @@
+//! A law that predicts where the leader and the follower stop, and places the ego vehicle between them.
+//!
+//! Priorities, each in its own function:
+//! 1. **Follow** by the Intelligent Driver Model.
+//! 2. **Wake the follower** ([`Predictive::wake`]). A follower with nothing but an emergency brake holds its speed until
+//!    TTC < 1.4 s. Firing that brake early, by mild braking, leaves it room to stop.
+//! 3. **Give way** ([`Predictive::give_way`]) once the emergency brake has fired: do not brake harder than the follower
+//!    tolerates, unless the room ahead is as short as the room behind.
+//! 4. **Limit unnecessary braking** ([`Predictive::limited`]): brake little harder than the leader's motion justifies.
+//! 5. **Brake just in time** for the leader in every case.
+//!
+//! The law uses only present and past observations and its own commands. Its state is a few recursive averages.
+
+mod follower;
+mod friction;
+mod jitter;
+mod leader;
+
+use self::follower::Follower;
+use self::friction::Friction;
+use self::leader::Leader;
+use super::{BuiltIn, Controller, ControllerFailure, Ego, clamp_command};
+use crate::idm::{Idm, IdmSettings};
+use crate::observation::{Neighbour, Observation};
+use crate::settings::settings;
+
+settings! {
+    /// Settings of the predictive two-sided controller. Decelerations are those on a dry road; the controller multiplies
+    /// them by the friction that it estimates.
+    PredictiveSettings {
+        /// Desired time headway while following, in seconds (the Intelligent Driver Model's).
+        time_headway_s: 1.6, 0.0..=10.0, 0.5..=3.0;
+        /// Distance to the leader that no plan uses, in metres: errors of gap and stopping place.
+        margin_m: 0.4, 0.0..=100.0, 0.0..=5.0;
+        /// Least deceleration of the leader in predictions, in m/s²: it may brake harder later.
+        ahead_brake_mps2: 4.0, 0.0..=30.0, 0.0..=9.0;
+        /// Deceleration of the follower before it is observed, in m/s²: a laden lorry has 5 to 6.
+        behind_brake_mps2: 4.3, 0.1..=30.0, 3.0..=9.0;
+        /// Time from the firing of the follower's emergency brake to its deceleration, in seconds.
+        behind_delay_s: 0.1, 0.0..=10.0, 0.0..=1.0;
+        /// Probability, before any observation, that the follower has nothing but an emergency brake.
+        unaware_share: 0.08, 0.0..=1.0, 0.01..=0.5;
+        /// Slack between the predicted stopping places of leader and follower below which to wake the follower, in metres.
+        wake_slack_m: 14.0, 0.0..=1000.0, 0.0..=40.0;
+        /// That slack while the leader brakes harder than in everyday traffic, in metres.
+        emergency_slack_m: 42.0, 0.0..=1000.0, 0.0..=100.0;
+        /// Deceleration per metre of missing slack, in 1/s².
+        wake_gain_per_s2: 1.9, 0.0..=100.0, 0.5..=5.0;
+        /// Deceleration by which to wake the follower in predictions, in m/s².
+        wake_brake_mps2: 6.7, 0.1..=30.0, 1.5..=9.0;
+        /// Speed difference at which waking ends, in m/s; times √µ. From a larger one no vehicle escapes.
+        wake_closing_mps: 18.6, 0.1..=100.0, 10.0..=30.0;
+        /// Time constant of waking in everyday traffic, in seconds: comfort.
+        wake_lag_s: 0.4, 0.01..=10.0, 0.05..=1.2;
+        /// Smallest predicted gap to a braking follower that needs no giving way, in metres.
+        room_behind_m: 0.9, 0.0..=100.0, 0.0..=12.0;
+        /// Acceleration per metre of missing room behind, in 1/s².
+        room_gain_per_s2: 4.0, 0.0..=100.0, 0.5..=6.0;
+        /// Deceleration beyond the justified one, in m/s², unless the leader brakes harder than in everyday traffic.
+        excess_brake_mps2: 1.85, 0.0..=30.0, 0.0..=4.0;
+    }
+}
+
+/// Share of the available braking that the leader must require before the ego vehicle brakes by that much.
+const LATEST_BRAKE_SHARE: f64 = 0.97;
+/// Braking harder than this counts as hard ([`crate::measure`]: 4 m/s², less errors of the estimate), in m/s².
+const HARD_BRAKE_MPS2: f64 = 3.8;
+/// Justified deceleration from which hard braking is not unnecessary (3 m/s², plus errors of the estimate), in m/s².
+const HARD_BRAKE_CAUSE_MPS2: f64 = 3.5;
+/// Smallest deceleration in a prediction, in m/s²: makes stopping distances finite.
+const MIN_BRAKE_MPS2: f64 = 0.05;
+/// Waking deceleration that is too small to brake for, in m/s².
+const MIN_WAKE_MPS2: f64 = 1e-3;
+/// Time constant of waking in an emergency, in seconds.
+const EMERGENCY_LAG_S: f64 = 0.05;
+
+/// A controller that predicts the stopping places of leader and follower.
+#[derive(Debug, Clone, PartialEq)]
+pub struct Predictive {
+    settings: PredictiveSettings,
+    idm: Idm,
+    max_brake_mps2: f64,
+    max_accel_mps2: f64,
+    friction: Friction,
+    leader: Leader,
+    follower: Follower,
+    step_s: f64,
+    /// Smoothed deceleration that wakes the follower, in m/s².
+    wake_mps2: f64,
+}
+
+impl BuiltIn for Predictive {
+    const NAME: &'static str = "predictive";
+    const SUMMARY: &'static str =
+        "follows by idm, wakes an inattentive follower early, and stops between leader and follower";
+    type Settings = PredictiveSettings;
+    type Driver = Self;
+
+    fn start(settings: &PredictiveSettings, ego: &Ego, _seed: u64) -> Self {
+        let idm = IdmSettings { time_headway_s: settings.time_headway_s, ..Default::default() };
+        Self {
+            settings: settings.clone(),
+            idm: (&idm).into(),
+            max_brake_mps2: ego.max_brake_mps2,
+            max_accel_mps2: ego.max_accel_mps2,
+            friction: Friction::new(ego),
+            leader: Leader::new(ego.step_s),
+            follower: Follower::new(settings.unaware_share, ego),
+            step_s: ego.step_s,
+            wake_mps2: 0.0,
+        }
+    }
+}
+
+impl Controller for Predictive {
+    #[inline]
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+        let answer_mps2 = clamp_command(self.command_mps2(seen), self.max_brake_mps2, self.max_accel_mps2);
+        self.friction.record(answer_mps2);
+        Ok(answer_mps2)
+    }
+}
+
+/// Predictions for one decision.
+struct Outlook {
+    own_mps: f64,
+    ahead: Neighbour,
+    /// Deceleration of the leader that predictions use, in m/s², positive.
+    ahead_brake_mps2: f64,
+    /// Way of the ego vehicle to the stopping place of the leader, less the margin, in metres.
+    way_m: f64,
+    /// Deceleration of the ego vehicle that plans use, in m/s², positive.
+    own_brake_mps2: f64,
+    /// Share of dry-road braking that the road allows.
+    friction: f64,
+}
+
+impl Predictive {
+    fn command_mps2(&mut self, seen: &Observation) -> f64 {
+        let own_brake_mps2 = self.friction.usable_brake_mps2(seen);
+        let follow_mps2 = self.idm.desired_acceleration_mps2(seen);
+        let Some(ahead) = seen.ahead else { return follow_mps2 };
+        let friction = own_brake_mps2 / self.max_brake_mps2.max(f64::MIN_POSITIVE);
+        self.leader.observe(&ahead);
+        let gap_m = ahead.gap_m - self.settings.margin_m;
+        let ahead_brake_mps2 = (self.settings.ahead_brake_mps2 * friction).max(-ahead.acceleration_mps2);
+        let way_m = gap_m + stopping_distance_m(ahead.speed_mps, ahead_brake_mps2);
+        let outlook = Outlook { own_mps: seen.speed_mps, ahead, ahead_brake_mps2, way_m, own_brake_mps2, friction };
+        let wanted_mps2 = match &seen.behind {
+            Some(behind) => {
+                if self.follower.observe(behind, seen, self.settings.behind_brake_mps2 * friction) {
+                    self.wake_mps2 = 0.0;
+                    follow_mps2.max(self.give_way(&outlook, behind))
+                } else {
+                    self.wake(&outlook, behind, follow_mps2)
+                }
+            }
+            None => follow_mps2,
+        };
+        let required_mps2 = required_brake_mps2(gap_m, ahead.speed_mps, -ahead.acceleration_mps2, seen.speed_mps);
+        let limited_mps2 = self.limited(wanted_mps2, required_mps2, &outlook);
+        if required_mps2 > LATEST_BRAKE_SHARE * own_brake_mps2 {
+            limited_mps2.min(-required_mps2)
+        } else {
+            limited_mps2
+        }
+    }
+
+    /// Returns the acceleration that wakes the follower, or `follow_mps2` if that is not needed.
+    ///
+    /// The slack is the way from the stopping place of a follower that is woken from now on to that of the leader,
+    /// s = g_a + v_a²/(2 b_a) + g_b - v_b (t + τ) - v_b²/(2 b_b), where t is the time to wake it. Below the wanted slack,
+    /// brake by the gain times what is missing, times the probability that the follower has nothing but an emergency
+    /// brake. The braking ends at the speed difference from which a fired follower can be escaped.
+    fn wake(&mut self, outlook: &Outlook, behind: &Neighbour, follow_mps2: f64) -> f64 {
+        let all = &self.settings;
+        let closing_mps = behind.speed_mps - outlook.own_mps;
+        let max_closing_mps = all.wake_closing_mps * outlook.friction.sqrt();
+        if closing_mps >= max_closing_mps || behind.gap_m <= follower::FIRING_TTC_S * closing_mps {
+            return follow_mps2.max(0.0);
+        }
+        let brake_mps2 = all.wake_brake_mps2.min(outlook.own_brake_mps2);
+        let waking_s = waking_time_s(behind.gap_m, closing_mps, brake_mps2, max_closing_mps);
+        let behind_m = behind.speed_mps * (waking_s + all.behind_delay_s)
+            + stopping_distance_m(behind.speed_mps, all.behind_brake_mps2 * outlook.friction);
+        let slack_m = outlook.way_m + behind.gap_m - behind_m;
+        let (wanted_m, lag_s) = match self.leader.brakes_hard() {
+            true => (all.emergency_slack_m, EMERGENCY_LAG_S),
+            false => (all.wake_slack_m, all.wake_lag_s),
+        };
+        let demand_mps2 = all.wake_gain_per_s2 * (wanted_m - slack_m).max(0.0) * self.follower.unaware_probability();
+        self.wake_mps2 += (self.step_s / lag_s).min(1.0) * (demand_mps2 - self.wake_mps2);
+        if self.wake_mps2 > MIN_WAKE_MPS2 { follow_mps2.min(-self.wake_mps2) } else { follow_mps2 }
+    }
+
+    /// Returns the smallest acceleration that a braking follower tolerates, or less if the room ahead is as short.
+    ///
+    /// Room behind: closest gap if the ego vehicle holds its speed, r_b = g_b - Δv τ - Δv²/(2 b_b). Room ahead: closest
+    /// gap if it brakes from now on, at standstill or while both move. a = k min(r_a - r_b, r_min - r_b).
+    fn give_way(&self, outlook: &Outlook, behind: &Neighbour) -> f64 {
+        let all = &self.settings;
+        let closing_mps = (behind.speed_mps - outlook.own_mps).max(0.0);
+        let delay_s = (all.behind_delay_s - self.follower.fired_for_s()).max(0.0);
+        let behind_m =
+            behind.gap_m - closing_mps * delay_s - stopping_distance_m(closing_mps, self.follower.brake_mps2());
+        let at_rest_m = outlook.way_m - stopping_distance_m(outlook.own_mps, outlook.own_brake_mps2);
+        let gains_mps2 = outlook.own_brake_mps2 - outlook.ahead_brake_mps2;
+        let nearing_mps = outlook.own_mps - outlook.ahead.speed_mps;
+        let moving_m = if nearing_mps > 0.0 && gains_mps2 > 0.0 {
+            outlook.ahead.gap_m - all.margin_m - stopping_distance_m(nearing_mps, gains_mps2)
+        } else {
+            f64::INFINITY
+        };
+        let missing_m = at_rest_m.min(moving_m).min(all.room_behind_m) - behind_m;
+        all.room_gain_per_s2 * missing_m
+    }
+
+    /// Limits braking to a little more than the motion of the leader justifies, by the definition of
+    /// [`UnnecessaryBraking`](crate::measure::UnnecessaryBraking), unless the leader brakes hard.
+    fn limited(&self, wanted_mps2: f64, required_mps2: f64, outlook: &Outlook) -> f64 {
+        if self.leader.brakes_hard() {
+            return wanted_mps2;
+        }
+        let Neighbour { gap_m, speed_mps, acceleration_mps2 } = outlook.ahead;
+        let followed_mps2 = self.idm.interaction_brake_mps2(outlook.own_mps, [gap_m, speed_mps]);
+        let matched_mps2 = if gap_m < 3.0 * outlook.own_mps { -acceleration_mps2 } else { 0.0 };
+        let justified_mps2 = required_mps2.max(followed_mps2).max(matched_mps2);
+        let most_mps2 = justified_mps2 + self.settings.excess_brake_mps2;
+        wanted_mps2.max(-if justified_mps2 < HARD_BRAKE_CAUSE_MPS2 {
+            most_mps2.min(HARD_BRAKE_MPS2)
+        } else {
+            most_mps2
+        })
+    }
+}
+
+/// Returns v²/(2 b), in metres.
+fn stopping_distance_m(speed_mps: f64, brake_mps2: f64) -> f64 {
+    speed_mps * speed_mps / (2.0 * brake_mps2.max(MIN_BRAKE_MPS2))
+}
+
+/// Returns the time until the gap to a follower of constant speed falls below θ times the closing speed, if the ego
+/// vehicle brakes until it is `max_closing_mps` slower and then holds its speed.
+fn waking_time_s(gap_m: f64, closing_mps: f64, brake_mps2: f64, max_closing_mps: f64) -> f64 {
+    // g - Δv t - b t²/2 = θ (Δv + b t).
+    let ttc_s = follower::FIRING_TTC_S;
+    let (rate_mps, missing_m) = (closing_mps + ttc_s * brake_mps2, gap_m - ttc_s * closing_mps);
+    let waking_s = ((rate_mps * rate_mps + 2.0 * brake_mps2 * missing_m).max(0.0).sqrt() - rate_mps) / brake_mps2;
+    if closing_mps + brake_mps2 * waking_s <= max_closing_mps {
+        return waking_s.max(0.0);
+    }
+    let braking_s = ((max_closing_mps - closing_mps) / brake_mps2).max(0.0);
+    let left_m = gap_m - (closing_mps + 0.5 * brake_mps2 * braking_s) * braking_s;
+    braking_s + (left_m / max_closing_mps - ttc_s).max(0.0)
+}
+
+/// Returns the smallest constant deceleration that avoids a leader which brakes to standstill, in m/s²: equals
+/// [`required_brake_mps2`](crate::measure::required_brake_mps2), but is infinite without a gap.
+fn required_brake_mps2(gap_m: f64, front_mps: f64, front_brake_mps2: f64, rear_mps: f64) -> f64 {
+    let (front_brake_mps2, closing_mps) = (front_brake_mps2.max(0.0), rear_mps - front_mps);
+    if gap_m <= 0.0 {
+        f64::INFINITY
+    } else if closing_mps > 0.0 && 2.0 * gap_m * front_brake_mps2 <= front_mps * closing_mps {
+        front_brake_mps2 + 0.5 * closing_mps * closing_mps / gap_m
+    } else if front_brake_mps2 > 0.0 {
+        0.5 * rear_mps * rear_mps / (gap_m + 0.5 * front_mps * front_mps / front_brake_mps2)
+    } else {
+        0.0
+    }
+}
+
+#[cfg(test)]
+mod tests;

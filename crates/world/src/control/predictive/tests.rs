@@ -1,0 +1,139 @@
+use proptest::prelude::*;
+
+use super::super::tests::EGO;
+use super::*;
+use crate::scenario::space::built_in_space;
+use crate::scenario::{Scenario, built_in_scenario};
+use crate::sim::{RecordingLevel, Run, RunOptions, simulate, simulate_batch};
+
+fn runs(scenarios: &[Scenario]) -> Vec<Run> {
+    let spec = crate::control::ControllerSpec::from_name(Predictive::NAME).unwrap();
+    scenarios.iter().map(|scenario| Run::new(scenario, RunOptions::new(spec.clone())).unwrap()).collect()
+}
+
+fn draws(space: &str, count: u64) -> Vec<Scenario> {
+    let space = built_in_space(space).unwrap();
+    (0..count).map(|index| space.draw(5, index).unwrap()).collect()
+}
+
+#[test]
+fn avoids_the_collisions_of_the_paper() {
+    let mut scenarios: Vec<_> =
+        ["paper-1", "paper-2", "paper-3"].iter().map(|name| built_in_scenario(name).unwrap()).collect();
+    scenarios.extend(draws("paper", 100));
+    for (run, scenario) in runs(&scenarios).iter().zip(&scenarios) {
+        assert!(simulate(run, RecordingLevel::Summary).outcome.is_safe(), "{}", scenario.spec().name);
+    }
+}
+
+/// Of 100 samples of `high-risk`, idm collides in about 42. In `traffic` no sample collides.
+#[test]
+fn collides_seldom_in_emergencies_and_never_in_traffic() {
+    let collisions = |space: &str, count: u64| {
+        let runs = runs(&draws(space, count));
+        let each = simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome.contact().is_some());
+        each.into_iter().filter(|&collided| collided).count()
+    };
+    assert!(collisions("high-risk", 100) <= 10);
+    assert_eq!(collisions("traffic", 40), 0);
+}
+
+#[test]
+fn both_engines_drive_it_alike() {
+    let runs = runs(&draws("high-risk", 24));
+    let together = simulate_batch(&runs, RecordingLevel::Trace, |_, result| result);
+    for (run, together) in runs.iter().zip(together) {
+        assert_eq!(simulate(run, RecordingLevel::Trace), together);
+    }
+}
+
+#[test]
+fn follows_by_idm_while_nothing_is_wrong() {
+    let mut driver = Predictive::start(&PredictiveSettings::default(), &EGO, 0);
+    let idm = Idm::from(&IdmSettings::default());
+    let neighbour = |gap_m| Some(Neighbour { gap_m, speed_mps: 20.0, acceleration_mps2: 0.0 });
+    let seen = Observation { speed_mps: 20.0, acceleration_mps2: 0.0, ahead: neighbour(40.0), behind: neighbour(40.0) };
+    for _ in 0..300 {
+        assert_eq!(driver.decide(&seen).unwrap(), idm.desired_acceleration_mps2(&seen));
+    }
+}
+
+/// A follower that ignores a slower ego vehicle has nothing but an emergency brake; one that drives `idm` reacts.
+#[test]
+fn recognises_the_driver_behind() {
+    let idm = Idm::from(&IdmSettings::default());
+    for is_idm in [false, true] {
+        let mut follower = Follower::new(0.5, &EGO);
+        let (mut gap_m, mut behind_mps) = (20.0, 20.0);
+        for step in 0..300 {
+            let own_mps = 20.0 - 1.5 * 0.01 * f64::from(step);
+            let demand_mps2 = idm.acceleration_mps2(behind_mps, Some([gap_m, own_mps]));
+            let behind_mps2 = if is_idm { demand_mps2 } else { 0.0 };
+            let behind = Neighbour { gap_m, speed_mps: behind_mps, acceleration_mps2: behind_mps2 };
+            let seen = Observation { speed_mps: own_mps, acceleration_mps2: -1.5, ahead: None, behind: Some(behind) };
+            follower.observe(&behind, &seen, 5.0);
+            gap_m += (own_mps - behind_mps) * 0.01;
+            behind_mps += behind_mps2 * 0.01;
+        }
+        let probability = follower.unaware_probability();
+        assert!(if is_idm { probability < 0.01 } else { probability > 0.99 }, "{is_idm}: {probability}");
+    }
+}
+
+#[test]
+fn learns_the_friction_from_braking_that_falls_short() {
+    let mut friction = Friction::new(&EGO);
+    let mut usable_mps2 = friction.usable_brake_mps2(&seen_alone(20.0, 0.0));
+    assert_eq!(usable_mps2, EGO.max_brake_mps2);
+    for step in 0..100 {
+        friction.record(-7.5);
+        usable_mps2 = friction.usable_brake_mps2(&seen_alone(20.0 - 0.03 * f64::from(step), -3.0));
+    }
+    assert!((usable_mps2 - 3.0).abs() < 0.3, "{usable_mps2}");
+}
+
+fn seen_alone(speed_mps: f64, acceleration_mps2: f64) -> Observation {
+    Observation { speed_mps, acceleration_mps2, ahead: None, behind: None }
+}
+
+fn neighbours() -> impl Strategy<Value = Option<Neighbour>> {
+    prop::option::of(
+        (-5.0..200.0f64, 0.0..60.0f64, -12.0..6.0f64).prop_map(|(gap_m, speed_mps, acceleration_mps2)| Neighbour {
+            gap_m,
+            speed_mps,
+            acceleration_mps2,
+        }),
+    )
+}
+
+proptest! {
+    /// The answer is within the limits of the vehicle for any observations.
+    #[test]
+    fn answers_are_finite_and_within_the_limits(
+        all in prop::collection::vec((0.0..60.0f64, -12.0..6.0f64, neighbours(), neighbours()), 1..40),
+    ) {
+        let mut driver = Predictive::start(&PredictiveSettings::default(), &EGO, 0);
+        for (speed_mps, acceleration_mps2, ahead, behind) in all {
+            let answer_mps2 = driver.decide(&Observation { speed_mps, acceleration_mps2, ahead, behind }).unwrap();
+            prop_assert!((-EGO.max_brake_mps2..=EGO.max_accel_mps2).contains(&answer_mps2), "{}", answer_mps2);
+        }
+    }
+
+    /// The waking time satisfies its equation, and waiting at the largest closing speed takes longer.
+    #[test]
+    fn the_waking_time_ends_at_the_firing(gap_m in 3.0..80.0f64, brake_mps2 in 1.0..6.0f64, most_mps in 5.0..25.0f64) {
+        let free_s = waking_time_s(gap_m, 0.0, brake_mps2, f64::INFINITY);
+        let left_m = gap_m - 0.5 * brake_mps2 * free_s * free_s;
+        prop_assert!((left_m - follower::FIRING_TTC_S * brake_mps2 * free_s).abs() < 1e-9);
+        prop_assert!(waking_time_s(gap_m, 0.0, brake_mps2, most_mps) >= free_s - 1e-9);
+    }
+
+    /// Braking as required just avoids the leader: the definition of the measure.
+    #[test]
+    fn required_braking_is_that_of_the_measure(
+        gap_m in 0.1..100.0f64, front_mps in 0.0..40.0f64, brake_mps2 in 0.0..9.0f64, rear_mps in 0.0..40.0f64,
+    ) {
+        let measured = crate::measure::required_brake_mps2(gap_m, front_mps, brake_mps2, rear_mps);
+        prop_assert_eq!(Some(required_brake_mps2(gap_m, front_mps, brake_mps2, rear_mps)), measured);
+    }
+}
