@@ -385,8 +385,8 @@ pub(crate) fn assert_survives_kills(
     through
 }
 
-/// Writes lengths and hashes of a folder's files into its manifest, as an attacker would; also that of the configuration,
-/// which is the hash of a file.
+/// Writes lengths and hashes of a folder's files into its manifest, as an attacker would; also that of the
+/// configuration, which is the hash of a file.
 pub(crate) fn rehash_manifest(folder: &Path) {
     let path = folder.join("work.json");
     let (mut text, manifest) = (fs::read_to_string(&path).unwrap(), read_json(&path));

@@ -31,7 +31,8 @@ pub(super) fn trace(vehicles: Vec<Track>, step_s: f64) -> Trace {
     Trace { time_s: (0..samples).map(|k| k as f64 * step_s).collect(), vehicles }
 }
 
-/// Creates a trace of a vehicle 2 m long and its follower, each with an initial speed and pieces as in [`driven_track`].
+/// Creates a trace of a vehicle 2 m long and its follower, each with an initial speed and pieces as in
+/// [`driven_track`].
 pub(super) fn pair_trace(gap_m: f64, vehicles: [(f64, &[(f64, f64)]); 2], step_s: f64) -> Trace {
     let [(front_mps, front), (rear_mps, rear)] = vehicles;
     let front = driven_track(2.0, gap_m + 2.0, front_mps, front, step_s);

@@ -68,10 +68,11 @@ pub enum Omission {
         /// Number of rows.
         rows: usize,
     },
-    /// Spacings of 0 or less or beyond any view, lengths below 0.1 m or above 100 m, and speeds above 100 m/s, or negative
-    /// where the sign has no meaning.
+    /// Spacings of 0 or less or beyond any view, lengths below 0.1 m or above 100 m, and speeds above 100 m/s, or
+    /// negative where the sign has no meaning.
     #[error(
-        "{column}: {count} impossible {what}, the first one here, the last one on line {last_line}, the worst {} {unit}",
+        "{column}: {count} impossible {what}, the first one here, the last one on line {last_line}, the worst {} \
+         {unit}",
         format_compact(*worst)
     )]
     ImpossibleValues {

@@ -25,8 +25,8 @@ use crate::observation::{Neighbour, Observation};
 use crate::settings::settings;
 
 settings! {
-    /// Settings of the predictive two-sided controller. Decelerations are those on a dry road; the controller multiplies
-    /// them by the friction that it estimates.
+    /// Settings of the predictive two-sided controller. Decelerations are those on a dry road; the controller
+    /// multiplies them by the friction that it estimates.
     PredictiveSettings {
         /// Desired time headway while following, in seconds (the Intelligent Driver Model's).
         time_headway_s: 1.6, 0.0..=10.0, 0.5..=3.0;
@@ -40,7 +40,8 @@ settings! {
         behind_delay_s: 0.1, 0.0..=10.0, 0.0..=1.0;
         /// Probability, before any observation, that the follower has nothing but an emergency brake.
         unaware_share: 0.08, 0.0..=1.0, 0.01..=0.5;
-        /// Slack between the predicted stopping places of leader and follower below which to wake the follower, in metres.
+        /// Slack between the predicted stopping places of leader and follower below which to wake the follower, in
+        /// metres.
         wake_slack_m: 14.0, 0.0..=1000.0, 0.0..=40.0;
         /// That slack while the leader brakes harder than in everyday traffic, in metres.
         emergency_slack_m: 42.0, 0.0..=1000.0, 0.0..=100.0;
@@ -169,9 +170,9 @@ impl Predictive {
     /// Returns the acceleration that wakes the follower, or `follow_mps2` if that is not needed.
     ///
     /// The slack is the way from the stopping place of a follower that is woken from now on to that of the leader,
-    /// s = g_a + v_a²/(2 b_a) + g_b - v_b (t + τ) - v_b²/(2 b_b), where t is the time to wake it. Below the wanted slack,
-    /// brake by the gain times what is missing, times the probability that the follower has nothing but an emergency
-    /// brake. The braking ends at the speed difference from which a fired follower can be escaped.
+    /// s = g_a + v_a²/(2 b_a) + g_b - v_b (t + τ) - v_b²/(2 b_b), where t is the time to wake it. Below the wanted
+    /// slack, brake by the gain times what is missing, times the probability that the follower has nothing but an
+    /// emergency brake. The braking ends at the speed difference from which a fired follower can be escaped.
     fn wake(&mut self, outlook: &Outlook, behind: &Neighbour, follow_mps2: f64) -> f64 {
         let all = &self.settings;
         let closing_mps = behind.speed_mps - outlook.own_mps;
