@@ -31,9 +31,9 @@ const HYPOTHESES: usize = 3;
 ///
 /// Each hypothesis predicts an acceleration a_i from the present observation, and so a change of speed over the last
 /// [`MEMORY_S`]: w' = a_i - w / [`MEMORY_S`]. The observed one is the speed less its average over that time. The
-/// log-likelihood, forgotten over [`MEMORY_S`], gains -(error)²/(2 σ²) each [`CORRELATION_S`]. σ includes the noise of the
-/// estimated speed, which is that of the acceleration divided by the bandwidth of the filter. Speeds discriminate better
-/// than accelerations, whose noise is larger.
+/// log-likelihood, forgotten over [`MEMORY_S`], gains -(error)²/(2 σ²) each [`CORRELATION_S`]. σ includes the noise of
+/// the estimated speed, which is that of the acceleration divided by the bandwidth of the filter. Speeds discriminate
+/// better than accelerations, whose noise is larger.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Follower {
     step_s: f64,

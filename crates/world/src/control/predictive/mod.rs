@@ -2,8 +2,8 @@
 //!
 //! Priorities, each in its own function:
 //! 1. **Follow** by the Intelligent Driver Model.
-//! 2. **Wake the follower** ([`Predictive::wake`]). A follower with nothing but an emergency brake holds its speed until
-//!    TTC < 1.4 s. Firing that brake early, by mild braking, leaves it room to stop.
+//! 2. **Wake the follower** ([`Predictive::wake`]). A follower with nothing but an emergency brake holds its speed
+//!    until TTC < 1.4 s. Firing that brake early leaves it room to stop.
 //! 3. **Give way** ([`Predictive::give_way`]) once the emergency brake has fired: do not brake harder than the follower
 //!    tolerates, unless the room ahead is as short as the room behind.
 //! 4. **Limit unnecessary braking** ([`Predictive::limited`]): brake little harder than the leader's motion justifies.
