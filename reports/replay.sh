@@ -134,6 +134,18 @@ run simulate counterexamples/high-risk/acc-aeb/05-2-hits-1.toml --controller acc
 run simulate counterexamples/high-risk/acc-aeb/05-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/acc-aeb/06-2-hits-1.toml --controller acc-aeb --expect collision
 run simulate counterexamples/high-risk/acc-aeb/06-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/predictive/01-2-hits-1.toml --controller predictive --expect collision
+run simulate counterexamples/high-risk/predictive/01-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/predictive/02-2-hits-1.toml --controller predictive --expect collision
+run simulate counterexamples/high-risk/predictive/02-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/predictive/03-1-hits-0.toml --controller predictive --expect collision
+run simulate counterexamples/high-risk/predictive/03-1-hits-0-escape.toml --expect safe
+run simulate counterexamples/high-risk/predictive/04-1-hits-0.toml --controller predictive --expect collision
+run simulate counterexamples/high-risk/predictive/04-1-hits-0-escape.toml --expect safe
+run simulate counterexamples/high-risk/predictive/05-2-hits-1.toml --controller predictive --expect collision
+run simulate counterexamples/high-risk/predictive/05-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/predictive/06-2-hits-1.toml --controller predictive --expect collision
+run simulate counterexamples/high-risk/predictive/06-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/01-1-hits-0.toml --controller policy --expect collision
 run simulate counterexamples/high-risk/policy/01-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/policy/02-2-hits-1.toml --controller policy --expect collision
@@ -193,6 +205,7 @@ run worst-case paper-1 --controller match-leader
 run worst-case paper-1 --controller constant-brake
 run worst-case paper-1 --controller idm
 run worst-case paper-1 --controller acc-aeb
+run worst-case paper-1 --controller predictive
 run worst-case paper-1 --controller policy
 run worst-case paper-1 --controller shield:policy
 run worst-case paper-1 --controller retrained
