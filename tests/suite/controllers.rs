@@ -59,10 +59,11 @@ proptest! {
         }
     }
 
-    /// No rule-based controller observes the vehicle behind.
+    /// Controllers that do not observe the follower.
     #[test]
     fn built_in_controllers_look_ahead_only(
-        spec in any_controller().prop_filter("looks behind", |spec| spec.role() <= Role::Reference),
+        spec in any_controller()
+            .prop_filter("looks behind", |spec| !spec.observes_follower()),
         ego in any_ego(),
         seen in prop::collection::vec(any_observation(), 1..10),
     ) {

@@ -110,7 +110,7 @@ impl RunSetup {
     /// True if the controller ignores its follower.
     #[must_use]
     pub fn looks_ahead_only(&self) -> bool {
-        matches!(&self.controller, TestedController::BuiltIn(_)) && !self.is_learned()
+        matches!(&self.controller, TestedController::BuiltIn(spec) if !spec.observes_follower())
     }
 
     /// Returns the options for a scenario with this step.

@@ -64,7 +64,7 @@ fn files_are_canonical_with_any_whitespace() {
         let pretty = serde_json::to_string_pretty(&certificate).unwrap();
         for text in [certificate.to_canonical_json(), pretty] {
             let read = Certificate::from_json(&text).unwrap();
-            assert_eq!((&read, read.digest()), (&certificate, sha256(&certificate.to_canonical_json())));
+            assert_eq!((&read, read.digest()), (&certificate, sha256(certificate.to_canonical_json())));
         }
     }
 }

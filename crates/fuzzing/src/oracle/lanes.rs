@@ -90,7 +90,7 @@ pub fn entering_at_start_changes_nothing(question: &OracleContext<'_>) -> Oracle
 pub fn leaving_last_vehicle_changes_nothing_ahead(question: &OracleContext<'_>) -> OracleResult {
     let scenario = &question.test_case.scenario;
     let looks_ahead = |vehicle: &VehicleSpec| match &vehicle.driver {
-        Driver::Controller(spec) => spec.policy().is_none(),
+        Driver::Controller(spec) => !spec.observes_follower(),
         driver => !matches!(driver, Driver::UnderTest) || question.test_case.setup.looks_ahead_only(),
     };
     let keeps = scenario.edited(|spec| {

@@ -28,6 +28,8 @@ pub trait BuiltIn {
     const SUMMARY: &'static str;
     /// Role of the controller.
     const ROLE: Role = Role::Rule;
+    /// True if the commands depend on the follower.
+    const OBSERVES_FOLLOWER: bool = false;
     /// Numbers that parametrise the controller.
     type Settings: ControllerSettings;
     /// Controller type that drives the vehicle.
@@ -230,6 +232,12 @@ impl ControllerSpec {
     #[must_use]
     pub fn role(&self) -> Role {
         of_row!(self, |Row, _settings| Row::ROLE)
+    }
+
+    /// True if the commands depend on the follower.
+    #[must_use]
+    pub fn observes_follower(&self) -> bool {
+        self.policy().is_some() || of_row!(self, |Row, _settings| Row::OBSERVES_FOLLOWER)
     }
 
     /// Returns the policy of a learned controller.

@@ -115,6 +115,7 @@ impl Follower {
         weights[0] / (weights[0] + weights[1] + weights[2]).max(f64::MIN_POSITIVE)
     }
 
+    #[expect(clippy::manual_clamp, reason = "a demand that is no number must not remain one")]
     fn weigh(&mut self, behind: &Neighbour, seen: &Observation) {
         let ego =
             Neighbour { gap_m: behind.gap_m, speed_mps: seen.speed_mps, acceleration_mps2: seen.acceleration_mps2 };

@@ -2,11 +2,11 @@
 //!
 //! Priorities, each in its own function:
 //! 1. **Follow** by the Intelligent Driver Model.
-//! 2. **Wake the follower** ([`Predictive::wake`]). A follower with nothing but an emergency brake holds its speed
+//! 2. **Wake the follower** (`wake`). A follower with nothing but an emergency brake holds its speed
 //!    until TTC < 1.4 s. Firing that brake early leaves it room to stop.
-//! 3. **Give way** ([`Predictive::give_way`]) once the emergency brake has fired: do not brake harder than the follower
+//! 3. **Give way** (`give_way`) once the emergency brake has fired: do not brake harder than the follower
 //!    tolerates, unless the room ahead is as short as the room behind.
-//! 4. **Limit unnecessary braking** ([`Predictive::limited`]): brake little harder than the leader's motion justifies.
+//! 4. **Limit unnecessary braking** (`limited`): brake little harder than the leader's motion justifies.
 //! 5. **Brake just in time** for the leader in every case.
 //!
 //! The law uses only present and past observations and its own commands. Its state is a few recursive averages.
@@ -77,7 +77,11 @@ const EMERGENCY_LAG_S: f64 = 0.05;
 
 /// A controller that predicts the stopping places of leader and follower.
 #[derive(Debug, Clone, PartialEq)]
-pub struct Predictive {
+pub struct Predictive(Box<State>);
+
+/// State of the controller; boxed, because it is larger than that of any other controller.
+#[derive(Debug, Clone, PartialEq)]
+struct State {
     settings: PredictiveSettings,
     idm: Idm,
     max_brake_mps2: f64,
@@ -94,12 +98,13 @@ impl BuiltIn for Predictive {
     const NAME: &'static str = "predictive";
     const SUMMARY: &'static str =
         "follows by idm, wakes an inattentive follower early, and stops between leader and follower";
+    const OBSERVES_FOLLOWER: bool = true;
     type Settings = PredictiveSettings;
     type Driver = Self;
 
     fn start(settings: &PredictiveSettings, ego: &Ego, _seed: u64) -> Self {
         let idm = IdmSettings { time_headway_s: settings.time_headway_s, ..Default::default() };
-        Self {
+        Self(Box::new(State {
             settings: settings.clone(),
             idm: (&idm).into(),
             max_brake_mps2: ego.max_brake_mps2,
@@ -109,15 +114,16 @@ impl BuiltIn for Predictive {
             follower: Follower::new(settings.unaware_share, ego),
             step_s: ego.step_s,
             wake_mps2: 0.0,
-        }
+        }))
     }
 }
 
 impl Controller for Predictive {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let answer_mps2 = clamp_command(self.command_mps2(seen), self.max_brake_mps2, self.max_accel_mps2);
-        self.friction.record(answer_mps2);
+        let state = &mut *self.0;
+        let answer_mps2 = clamp_command(state.command_mps2(seen), state.max_brake_mps2, state.max_accel_mps2);
+        state.friction.record(answer_mps2);
         Ok(answer_mps2)
     }
 }
@@ -136,7 +142,7 @@ struct Outlook {
     friction: f64,
 }
 
-impl Predictive {
+impl State {
     fn command_mps2(&mut self, seen: &Observation) -> f64 {
         let own_brake_mps2 = self.friction.usable_brake_mps2(seen);
         let follow_mps2 = self.idm.desired_acceleration_mps2(seen);
