@@ -115,10 +115,7 @@ fn a_range_that_is_none_is_refused_with_line_and_field() {
 #[test]
 fn simulations_beyond_the_budget_are_reported() {
     let folder = temp_folder();
-    let attack = |more: &str| {
-        let found = run_ok(folder.path(), &format!("worst-case paper-1 --controller idm {more}"));
-        found
-    };
+    let attack = |more: &str| run_ok(folder.path(), &format!("worst-case paper-1 --controller idm {more}"));
     let report = json_objects(&attack("--budget 1 --format json")).remove(0);
     assert!(report["evaluations"].as_u64() > Some(1), "{report}");
     assert_eq!((&report["budget"], &report["is_over_budget"]), (&1.into(), &true.into()));

@@ -175,7 +175,8 @@ mod tier_2 {
 
 #[test]
 fn the_interval_of_weighted_draws_is_never_that_of_a_count() {
-    let problems: [(fn(&RandomInputs) -> f64, f64); 3] = [
+    type Margin = fn(&RandomInputs) -> f64;
+    let problems: [(Margin, f64); 3] = [
         (|state| 0.5 - coordinate(state, 0), 0.5),
         (|state| 1.3 - coordinate(state, 0), 1.3),
         (|state| 1.8 - coordinate(state, 0), 1.8),
