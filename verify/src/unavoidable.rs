@@ -258,7 +258,7 @@ fn min_ego_sum(ego: &SceneEgo, weights: &[[Interval; 2]], step_s: Interval) -> I
 ///
 /// If q surely changes sign, between the values p > 0 and -n < 0, the integral is that of two triangles:
 /// p² b / (p + n) and n² A / (p + n), times -h/2. Otherwise the trapezoid is a lower bound, because φ(q(t)) is concave.
-/// It is exact if q does not change sign.
+/// The trapezoid is exact if q does not change sign.
 fn min_step_integral(ego: &SceneEgo, begin: Interval, end: Interval, step_s: Interval) -> Interval {
     let (brake, accel) = (Interval::point(ego.max_brake_mps2), Interval::point(ego.max_accel_mps2));
     let half = step_s * Interval::point(0.5);

@@ -8,6 +8,7 @@
 //! | [`observation`] | observations of controllers |
 //! | `settings` | settings of controllers: numbers with a default, a range and a typical range |
 //! | `idm` | the Intelligent Driver Model: a controller, a base controller and a reference |
+//! | `required_brake` | the deceleration that avoids a braking leader |
 //! | [`policy`] | actor networks, their file and their evaluation |
 //! | [`network`] | imported networks: ONNX, Stable-Baselines3 |
 //! | [`process`] | the line protocol of controller processes, and their failures |
@@ -29,6 +30,7 @@ pub mod process;
 pub mod random;
 #[cfg(feature = "recording")]
 pub mod recording;
+mod required_brake;
 pub mod scenario;
 mod settings;
 pub mod sim;

@@ -22,6 +22,7 @@ use self::leader::Leader;
 use super::{BuiltIn, Controller, ControllerFailure, Ego, clamp_command};
 use crate::idm::{Idm, IdmSettings};
 use crate::observation::{Neighbour, Observation};
+use crate::required_brake::required_brake_mps2;
 use crate::settings::settings;
 
 settings! {
@@ -72,7 +73,7 @@ const HARD_BRAKE_CAUSE_MPS2: f64 = 3.5;
 const MIN_BRAKE_MPS2: f64 = 0.05;
 /// Waking deceleration that is too small to brake for, in m/s².
 const MIN_WAKE_MPS2: f64 = 1e-3;
-/// Time constant of waking in an emergency, in seconds.
+/// Time constant of waking while the leader brakes hard, in seconds.
 const EMERGENCY_LAG_S: f64 = 0.05;
 
 /// A controller that predicts the stopping places of leader and follower.
@@ -164,7 +165,9 @@ impl State {
             }
             None => follow_mps2,
         };
-        let required_mps2 = required_brake_mps2(gap_m, ahead.speed_mps, -ahead.acceleration_mps2, seen.speed_mps);
+        // Without a gap no deceleration is enough.
+        let required_mps2 = required_brake_mps2(gap_m, ahead.speed_mps, -ahead.acceleration_mps2, seen.speed_mps)
+            .unwrap_or(f64::INFINITY);
         let limited_mps2 = self.limited(wanted_mps2, required_mps2, &outlook);
         if required_mps2 > LATEST_BRAKE_SHARE * own_brake_mps2 {
             limited_mps2.min(-required_mps2)
@@ -259,21 +262,6 @@ fn waking_time_s(gap_m: f64, closing_mps: f64, brake_mps2: f64, max_closing_mps:
     let braking_s = ((max_closing_mps - closing_mps) / brake_mps2).max(0.0);
     let left_m = gap_m - (closing_mps + 0.5 * brake_mps2 * braking_s) * braking_s;
     braking_s + (left_m / max_closing_mps - ttc_s).max(0.0)
-}
-
-/// Returns the smallest constant deceleration that avoids a leader which brakes to standstill, in m/s²: equals
-/// [`required_brake_mps2`](crate::measure::required_brake_mps2), but is infinite without a gap.
-fn required_brake_mps2(gap_m: f64, front_mps: f64, front_brake_mps2: f64, rear_mps: f64) -> f64 {
-    let (front_brake_mps2, closing_mps) = (front_brake_mps2.max(0.0), rear_mps - front_mps);
-    if gap_m <= 0.0 {
-        f64::INFINITY
-    } else if closing_mps > 0.0 && 2.0 * gap_m * front_brake_mps2 <= front_mps * closing_mps {
-        front_brake_mps2 + 0.5 * closing_mps * closing_mps / gap_m
-    } else if front_brake_mps2 > 0.0 {
-        0.5 * rear_mps * rear_mps / (gap_m + 0.5 * front_mps * front_mps / front_brake_mps2)
-    } else {
-        0.0
-    }
 }
 
 #[cfg(test)]

@@ -127,13 +127,4 @@ proptest! {
         prop_assert!((left_m - follower::FIRING_TTC_S * brake_mps2 * free_s).abs() < 1e-9);
         prop_assert!(waking_time_s(gap_m, 0.0, brake_mps2, most_mps) >= free_s - 1e-9);
     }
-
-    /// Braking as required just avoids the leader: the definition of the measure.
-    #[test]
-    fn required_braking_is_that_of_the_measure(
-        gap_m in 0.1..100.0f64, front_mps in 0.0..40.0f64, brake_mps2 in 0.0..9.0f64, rear_mps in 0.0..40.0f64,
-    ) {
-        let measured = crate::measure::required_brake_mps2(gap_m, front_mps, brake_mps2, rear_mps);
-        prop_assert_eq!(Some(required_brake_mps2(gap_m, front_mps, brake_mps2, rear_mps)), measured);
-    }
 }
