@@ -14,7 +14,7 @@ use crumple_store::disk::StagedFiles;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
 
-/// Find the mildest braking of the leader that causes a collision, or the severest impact
+/// Find the mildest braking of the leader that causes a collision, or the worst impact
 #[derive(Args)]
 #[command(after_long_help = "\
 The attack replaces the leader's script: braking only, within --max-brake and --jerk. For the baseline that observes \
