@@ -6,7 +6,6 @@ use crumple_learn::rl::{
     EpisodeConstants, EpisodeEnding, ScenarioSource, TrainingConfig, TrainingEpisode, action_bounds, unsuitability,
 };
 use crumple_world::control::{ControllerSpec, NoSettings};
-use crumple_world::policy::STATE_LEN;
 use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::{Run, RunOptions};
 use numpy::{PyReadonlyArray1, PyReadwriteArray1, PyReadwriteArray2};
@@ -76,7 +75,7 @@ impl SubEnvironment {
     fn reset(&mut self, task: &EpisodeTask, state: &mut [f32]) -> Result<(), String> {
         let (scenario, mut episode) = task.new_episode(self.seed, self.next_index)?;
         self.next_index += 1;
-        state.copy_from_slice(&episode.state());
+        episode.write_state(state);
         (self.episode, self.is_over) = (Some((scenario, episode)), false);
         Ok(())
     }
@@ -107,9 +106,9 @@ impl SubEnvironment {
         *terminated = self.is_over && !led_to.continues;
         *truncated = self.is_over && led_to.continues;
         *ending = ending_code(led_to.ending);
-        state.copy_from_slice(&led_to.next_state);
+        episode.write_state(state);
         if self.is_over && task.autoreset == Autoreset::SameStep {
-            last_state.copy_from_slice(&led_to.next_state);
+            last_state.copy_from_slice(state);
             self.reset(task, state)?;
         }
         Ok(())
@@ -175,6 +174,12 @@ impl Episodes {
         self.task.config.environment().observation.limit
     }
 
+    /// Numbers of a state.
+    #[getter]
+    fn state_width(&self) -> usize {
+        self.task.config.state_width()
+    }
+
     /// Simulated time between two decisions, in seconds.
     #[getter]
     fn decision_s(&self) -> f64 {
@@ -197,10 +202,11 @@ impl Episodes {
         mut states: PyReadwriteArray2<'_, f32>,
     ) -> PyResult<()> {
         let (mask, states, pool) = (mask.as_slice()?, states.as_slice_mut()?, threads::pool()?);
+        let width = self.state_width();
         py.detach(|| {
             let mut lanes = self.sub_environments.lock().unwrap_or_else(PoisonError::into_inner);
             let count = lanes.len();
-            check_lengths(&[mask.len(), states.len() / STATE_LEN, seeds.as_ref().map_or(count, Vec::len)], count)?;
+            check_lengths(&[mask.len(), states.len() / width, seeds.as_ref().map_or(count, Vec::len)], count)?;
             let begin = |(index, ((lane, state), chosen)): (usize, ((&mut SubEnvironment, &mut [f32]), &bool))| {
                 if !chosen {
                     return Ok(());
@@ -211,10 +217,10 @@ impl Episodes {
                 lane.reset(&self.task, state)
             };
             if pool.current_num_threads() == 1 {
-                let mut rows = lanes.iter_mut().zip(states.chunks_exact_mut(STATE_LEN)).zip(mask).enumerate();
+                let mut rows = lanes.iter_mut().zip(states.chunks_exact_mut(width)).zip(mask).enumerate();
                 return rows.try_for_each(begin);
             }
-            let rows = lanes.par_iter_mut().zip(states.par_chunks_exact_mut(STATE_LEN)).zip(mask).enumerate();
+            let rows = lanes.par_iter_mut().zip(states.par_chunks_exact_mut(width)).zip(mask).enumerate();
             pool.install(|| rows.with_min_len(MIN_EPISODES_PER_THREAD).try_for_each(begin))
         })
         .map_err(|error| errors::exception(py, ExceptionClass::Training, &error))
@@ -236,9 +242,10 @@ impl Episodes {
         let (actions, states, last_states) = (actions.as_slice()?, states.as_slice_mut()?, last_states.as_slice_mut()?);
         let (rewards, terminated, pool) = (rewards.as_slice_mut()?, terminated.as_slice_mut()?, threads::pool()?);
         let (truncated, endings) = (truncated.as_slice_mut()?, endings.as_slice_mut()?);
+        let width = self.state_width();
         py.detach(|| {
             let mut lanes = self.sub_environments.lock().unwrap_or_else(PoisonError::into_inner);
-            let widths = [actions.len(), states.len() / STATE_LEN, last_states.len() / STATE_LEN];
+            let widths = [actions.len(), states.len() / width, last_states.len() / width];
             check_lengths(&widths, lanes.len())?;
             check_lengths(&[rewards.len(), terminated.len(), truncated.len(), endings.len()], lanes.len())?;
             // Check all actions first: an error halfway would leave some sub-environments a step ahead.
@@ -253,12 +260,12 @@ impl Episodes {
             };
             // Passing all work to a single other thread would take a tenth of the step's time.
             if pool.current_num_threads() == 1 {
-                let states = states.chunks_exact_mut(STATE_LEN).zip(last_states.chunks_exact_mut(STATE_LEN));
+                let states = states.chunks_exact_mut(width).zip(last_states.chunks_exact_mut(width));
                 let ends = terminated.iter_mut().zip(truncated).zip(endings);
                 let results = states.zip(rewards.iter_mut().zip(ends));
                 return lanes.iter_mut().zip(actions).zip(results).try_for_each(step);
             }
-            let states = states.par_chunks_exact_mut(STATE_LEN).zip(last_states.par_chunks_exact_mut(STATE_LEN));
+            let states = states.par_chunks_exact_mut(width).zip(last_states.par_chunks_exact_mut(width));
             let ends = terminated.par_iter_mut().zip(truncated).zip(endings);
             let rows = lanes.par_iter_mut().zip(actions).zip(states.zip(rewards.par_iter_mut().zip(ends)));
             pool.install(|| rows.with_min_len(MIN_EPISODES_PER_THREAD).try_for_each(step))

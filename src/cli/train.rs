@@ -320,6 +320,14 @@ impl<'a> SeedProgress<'a> {
                 ));
                 self.bar.inc(1);
             }
+            TrainingEvent::Imitation(done) => self.bar.set_message(format!(
+                "seed {} imitation {} of {}, {} decisions, {:.1} % of the drives collided",
+                self.seed,
+                done.round,
+                done.rounds,
+                done.rows,
+                100.0 * done.contact_share
+            )),
             TrainingEvent::Evaluation { result, .. } => self.safe_share = Some(result.safe_share),
             // Shown in the log only.
             _ => {}

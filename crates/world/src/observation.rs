@@ -1,6 +1,13 @@
 //! Observations and estimators.
 
+mod quantity;
+
 use serde::{Deserialize, Serialize};
+
+pub use quantity::ObservedQuantity;
+
+/// Default gap that stands for an absent neighbour, in metres.
+pub(crate) const EMPTY_GAP_M: f64 = 80.0;
 
 /// Estimator of the vehicles under test.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Default, Serialize, Deserialize)]

@@ -49,6 +49,8 @@ pub enum Purpose {
     Resampling = 15,
     /// Choice of the later runs of a process that are checked for determinism, one consumer per run.
     DeterminismCheck = 16,
+    /// Order of rows in a fit of a policy to an expert, one consumer per round.
+    Imitation = 17,
 }
 
 /// Returns the stream for `purpose` and its `index`-th consumer (a vehicle, a sample), under `seed`.

@@ -28,7 +28,6 @@ State: TypeAlias = NDArray[np.float32]
 ENDINGS = (None, "contact", "at-rest", "time-over")
 """Endings of an episode by the index in ``info["ending"]``; 0 for an episode that continues."""
 
-_STATE_SIZE = 8
 _AUTORESET_NAMES = {
     AutoresetMode.NEXT_STEP: "next-step",
     AutoresetMode.SAME_STEP: "same-step",
@@ -39,7 +38,7 @@ _AUTORESET_NAMES = {
 def _make_spaces(episodes: Episodes) -> tuple[gymnasium.spaces.Box, gymnasium.spaces.Box]:
     limit = np.float32(episodes.state_limit)
     return (
-        gymnasium.spaces.Box(-limit, limit, (_STATE_SIZE,), np.float32),
+        gymnasium.spaces.Box(-limit, limit, (episodes.state_width,), np.float32),
         gymnasium.spaces.Box(-1.0, 1.0, (1,), np.float32),
     )
 
@@ -47,9 +46,9 @@ def _make_spaces(episodes: Episodes) -> tuple[gymnasium.spaces.Box, gymnasium.sp
 class _StepBuffers:
     """Arrays with the results of a step."""
 
-    def __init__(self, count: int) -> None:
-        self.states = np.zeros((count, _STATE_SIZE), np.float32)
-        self.last_states = np.zeros((count, _STATE_SIZE), np.float32)
+    def __init__(self, count: int, width: int) -> None:
+        self.states = np.zeros((count, width), np.float32)
+        self.last_states = np.zeros((count, width), np.float32)
         self.rewards = np.zeros(count, np.float32)
         self.terminated = np.zeros(count, np.bool_)
         self.truncated = np.zeros(count, np.bool_)
@@ -91,7 +90,7 @@ class PlatoonEnv(gymnasium.Env[State, NDArray[np.float32]]):
         render_mode: str | None = None,
     ) -> None:
         self._episodes = _make_episodes(1, space, preset, estimator, "disabled")
-        self._buffers = _StepBuffers(1)
+        self._buffers = _StepBuffers(1, self._episodes.state_width)
         self._is_seeded = False
         if render_mode not in (None, "rgb_array"):
             raise TrainingError(f"render_mode is None or 'rgb_array', found {render_mode!r}")
@@ -161,7 +160,7 @@ class PlatoonVectorEnv(VectorEnv[State, NDArray[np.float32], NDArray[Any]]):
         self.num_envs = num_envs
         self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self._episodes = _make_episodes(num_envs, space, preset, estimator, _AUTORESET_NAMES[mode])
-        self._buffers = _StepBuffers(num_envs)
+        self._buffers = _StepBuffers(num_envs, self._episodes.state_width)
         self._autoreset_mode = mode
         self._copy = copy
         self._is_seeded = False

@@ -44,6 +44,8 @@ struct Scaling {
     history: usize,
     #[serde(default = "one")]
     history_every: usize,
+    #[serde(default)]
+    extra: Vec<serde::de::IgnoredAny>,
 }
 
 fn one() -> usize {
@@ -120,7 +122,7 @@ impl PolicyFileHeader {
         if hidden.len() > MAX_LAYERS || numbers > MAX_NUMBERS || is_too_wide {
             return Err("describes too large a network".to_owned());
         }
-        let Scaling { offset, scale, limit, empty_gap_m, history, history_every } = observation;
+        let Scaling { offset, scale, limit, empty_gap_m, history, history_every, extra } = observation;
         let is_positive = |value: &f64| *value > 0.0 && value.is_finite();
         let positive = scale.iter().chain([limit, empty_gap_m, decision_interval_s]).all(is_positive);
         if !positive || !offset.iter().all(|value| value.is_finite()) {
@@ -130,6 +132,10 @@ impl PolicyFileHeader {
         if [*history, *history_every] != [1, 1] {
             let is_not = "only a network without history can be analysed";
             return Err(format!("{METADATA_KEY}: observation: history: {is_not}"));
+        }
+        if !extra.is_empty() {
+            let is_not = "only a network with the paper's eight inputs can be analysed";
+            return Err(format!("{METADATA_KEY}: observation: extra: {is_not}"));
         }
         if let Some(Err(problem)) = action.residual_policy().map(|residual| residual.check()) {
             return Err(format!("{METADATA_KEY}: action: departs_from: {problem}"));

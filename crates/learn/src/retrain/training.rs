@@ -99,6 +99,7 @@ impl TrainingRecorder<RetrainError> for CheckpointWriter<'_, '_, '_> {
                 episodes: self.context.plan.settings.episodes,
                 fewest_contacts: self.checkpoints.iter().filter_map(|checkpoint| checkpoint.contacts).min(),
             })?,
+            TrainingEvent::Imitation(_) => {}
         }
         Ok(())
     }

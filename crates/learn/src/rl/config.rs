@@ -7,6 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::config_error::TrainingConfigError;
 use super::costs::CostConfig;
+use super::imitation::ImitationConfig;
 use super::observation::ObservationConfig;
 use super::replay::TransitionLayout;
 use super::serde_helpers::{deserialize_f32_no_underflow, is_default};
@@ -45,6 +46,9 @@ pub struct TrainingConfig {
     pub network: NetworkConfig,
     /// Parameters of the update.
     pub learning: LearningConfig,
+    /// Imitation of a controller before reinforcement learning; none without it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub imitation: Option<ImitationConfig>,
     /// Noise on actions.
     pub exploration: ExplorationConfig,
     /// Parameters of the replay memory.
@@ -201,7 +205,8 @@ impl LrDecay {
 #[serde(deny_unknown_fields)]
 #[non_exhaustive]
 pub struct ExplorationConfig {
-    /// Episodes of uniformly random actions before learning starts; many of them end in a collision.
+    /// Episodes of uniformly random actions before learning starts; many of them end in a collision. After an
+    /// imitation the policy drives them, with noise, and only the critics learn.
     #[serde(rename = "random_episodes")]
     pub learning_starts_episode: u64,
     /// Steps of 0.01 s for which a random action is held, at least until the next decision.

@@ -8,6 +8,7 @@ use serde::Deserialize;
 #[derive(Deserialize)]
 #[serde(rename_all = "snake_case")]
 enum LogLine {
+    Imitation {},
     Episode { episode: u64 },
     Evaluation { episode: u64, result: LoggedEvaluation },
 }
@@ -22,6 +23,7 @@ struct LoggedEvaluation {
 pub fn parse_episode(line: &str) -> Option<u64> {
     match serde_json::from_str(line).ok()? {
         LogLine::Episode { episode } | LogLine::Evaluation { episode, .. } => Some(episode),
+        LogLine::Imitation {} => Some(0),
     }
 }
 
@@ -29,7 +31,7 @@ pub fn parse_episode(line: &str) -> Option<u64> {
 pub(super) fn parse_evaluation(line: &str) -> Option<(u64, f64)> {
     match serde_json::from_str(line).ok()? {
         LogLine::Evaluation { episode, result } => Some((episode, result.mean_reward)),
-        LogLine::Episode { .. } => None,
+        LogLine::Episode { .. } | LogLine::Imitation {} => None,
     }
 }
 

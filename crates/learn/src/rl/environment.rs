@@ -7,8 +7,8 @@ use std::sync::Arc;
 use super::config::{EnvironmentConfig, TimeLimit};
 use super::reward::RewardTracker;
 use super::source::{EGO, ScenarioSource};
-use crumple_world::observation::Observation;
-use crumple_world::policy::{ActionBounds, HeldAction, ObservationScaling, STATE_LEN};
+use crumple_world::observation::{EstimatorKind, Observation};
+use crumple_world::policy::{ActionBounds, FrameStack, HeldAction, ObservationScaling};
 use crumple_world::scenario::PAPER_STEP_S;
 use crumple_world::sim::{Motion, Run, StepView, Stepper};
 
@@ -36,12 +36,12 @@ pub enum EpisodeEnding {
 pub struct StepOutcome {
     /// Scaled reward. At rest it includes the value of all further standstill.
     pub reward: f32,
-    /// Next observation.
-    pub next_state: [f32; STATE_LEN],
     /// Ending of the episode, if it ended.
     pub ending: EpisodeEnding,
     /// True if the value of the next state is bootstrapped.
     pub continues: bool,
+    /// Action of the expert at the decision, in `[-1, 1]`; none without one.
+    pub expert_action: Option<f32>,
 }
 
 /// Constants of all episodes of a configuration, shared to save memory traffic when many episodes are stepped in turn.
@@ -77,6 +77,12 @@ impl EpisodeConstants {
         }
     }
 
+    /// Returns the numbers of an observation, without its history.
+    #[must_use]
+    pub fn state_width(&self) -> usize {
+        self.scaling.width()
+    }
+
     /// Returns the environment.
     #[must_use]
     pub fn environment(&self) -> &EnvironmentConfig {
@@ -94,6 +100,7 @@ pub struct TrainingEpisode {
     min_rest_steps: usize,
     steps_at_rest: usize,
     undiscounted_return: f64,
+    has_expert: bool,
 }
 
 impl TrainingEpisode {
@@ -110,23 +117,54 @@ impl TrainingEpisode {
             min_rest_steps: (MIN_REST_S / run.scenario().spec().step_s).round() as usize,
             steps_at_rest: 0,
             undiscounted_return: 0.0,
+            has_expert: false,
         }
     }
 
-    /// Returns the present observation.
-    pub fn state(&mut self) -> [f32; STATE_LEN] {
-        self.stepper.observe(EGO).map_or([0.0; STATE_LEN], |seen| self.config.scaling.state(&seen))
+    /// Makes the run's controller the expert: it answers at every step, and observes as `estimator` says.
+    #[must_use]
+    pub fn with_expert(mut self, estimator: EstimatorKind) -> Self {
+        self.stepper.consult(EGO, estimator);
+        self.has_expert = true;
+        self
+    }
+
+    /// Writes the present observation, [`ObservationScaling::width`] numbers.
+    pub fn write_state(&mut self, state: &mut [f32]) {
+        let last_answer_mps2 = self.held_action.last_answer_mps2();
+        if let Some(seen) = self.stepper.observe(EGO) {
+            self.config.scaling.write_state(&seen, last_answer_mps2, state);
+        }
+    }
+
+    /// Returns the present observation and its history.
+    pub fn observe<'p>(&mut self, past: &'p mut FrameStack) -> &'p [f32] {
+        let last_answer_mps2 = self.held_action.last_answer_mps2();
+        match self.stepper.observe(EGO) {
+            Some(seen) => past.push(&self.config.scaling, &seen, last_answer_mps2),
+            None => &[],
+        }
     }
 
     /// Holds an action, in `[-1, 1]`, until the next decision.
     pub fn step(&mut self, action: f32) -> StepOutcome {
         self.held_action.set(action);
+        self.advance(true)
+    }
+
+    /// Lets the expert drive until the next decision.
+    pub fn step_by_expert(&mut self) -> StepOutcome {
+        self.advance(false)
+    }
+
+    fn advance(&mut self, is_commanded: bool) -> StepOutcome {
         let Self { stepper, config: constants, reward_tracker, held_action, steps_at_rest, .. } = self;
+        let mut expert_action = None;
         let EpisodeConstants { environment: config, action_bounds: bounds, .. } = &**constants;
         let (mut reward, mut of_last_step, mut ending) = (0.0, 0.0, EpisodeEnding::None);
         let residual = Cell::new(0.0);
         let mut acceleration_mps2 = None;
-        let command = |seen: &Observation| match acceleration_mps2 {
+        let mut command = |seen: &Observation| match acceleration_mps2 {
             Some(held_mps2) if bounds.residual_over.is_none() => held_mps2,
             _ => {
                 let wanted_mps2 = held_action.acceleration_mps2(bounds, seen, PAPER_STEP_S);
@@ -134,7 +172,7 @@ impl TrainingEpisode {
                 *acceleration_mps2.insert(wanted_mps2)
             }
         };
-        let after = |now: &StepView<'_>| {
+        let mut after = |now: &StepView<'_>| {
             of_last_step = reward_tracker.step_reward(now, config, residual.get());
             reward += of_last_step;
             let at_rest = now.motion.iter().all(|motion| motion.speed_mps == 0.0);
@@ -150,7 +188,25 @@ impl TrainingEpisode {
             };
             if ending == EpisodeEnding::None { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         };
-        stepper.drive(EGO, config.action_repeat as usize, command, after);
+        if self.has_expert {
+            for _ in 0..config.action_repeat {
+                let Some(seen) = stepper.observe(EGO) else { break };
+                if is_commanded {
+                    stepper.command(EGO, command(&seen));
+                }
+                stepper.step();
+                let answer_mps2 = stepper.consulted_mps2(EGO);
+                expert_action = expert_action.or(answer_mps2.map(|answer_mps2| bounds.action(answer_mps2)));
+                if after(&stepper.view(EGO)).is_break() || stepper.has_ended() {
+                    break;
+                }
+            }
+            if !is_commanded && let Some(last_mps2) = stepper.consulted_mps2(EGO) {
+                held_action.set_last_answer_mps2(last_mps2);
+            }
+        } else {
+            stepper.drive(EGO, config.action_repeat as usize, command, after);
+        }
         self.undiscounted_return += reward;
         let mut to_learn = reward;
         if ending == EpisodeEnding::AtRest {
@@ -163,9 +219,9 @@ impl TrainingEpisode {
             || (ending == EpisodeEnding::TimeLimit && self.config.environment.time_limit == TimeLimit::Termination);
         StepOutcome {
             reward: (to_learn * self.config.environment.reward_scale) as f32,
-            next_state: self.state(),
             ending,
             continues: !over,
+            expert_action,
         }
     }
 

@@ -120,7 +120,7 @@ impl<'a> TrainingFolder<'a> {
         let mut keeper = FolderRecorder { run_folder: &self.run_folder, log: self.log, observer };
         let trained = train_with_recorder::<TrainingError>(&mut self.trainer, held_out, &mut keeper);
         let log = keeper.log;
-        let has_learned = self.trainer.best().is_some_and(|best| best.episode > 0);
+        let has_learned = self.config.imitation.is_some() || self.trainer.best().is_some_and(|best| best.episode > 0);
         if !has_learned && matches!(trained, Ok(()) | Err(TrainingError::Diverged { .. })) {
             // An untrained network is no result of a training.
             self.run_folder.transaction().remove(POLICY).commit()?;

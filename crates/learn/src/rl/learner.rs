@@ -10,7 +10,8 @@ use rand_distr::{Distribution, StandardNormal};
 use super::adam::Adam;
 use super::backprop::Tape;
 use super::config::{LearningConfig, Td3Config, TrainingConfig};
-use super::replay::Batch;
+use super::imitation::{ImitationBatch, ImitationConfig, ImitationLoss};
+use super::replay::{Batch, NO_EXPERT_ACTION};
 use crumple_world::policy::{Network, with_workers};
 use crumple_world::random::{self, Purpose, Stream};
 
@@ -42,6 +43,10 @@ pub struct Learner {
     pub updates: u64,
     state_width: usize,
     pub(super) lr_factor: f32,
+    /// Weight of the mean squared difference to the expert's actions in the actor's loss.
+    pub(super) imitation_weight: f32,
+    /// True if only the critics learn.
+    pub(super) is_actor_frozen: bool,
     learning: LearningConfig,
     td3: Td3Config,
     workspace: UpdateWorkspace,
@@ -90,6 +95,8 @@ impl Learner {
             updates: 0,
             state_width: inputs,
             lr_factor: 1.0,
+            imitation_weight: 0.0,
+            is_actor_frozen: false,
             learning: learning.clone(),
             td3: td3.clone(),
             workspace: UpdateWorkspace::default(),
@@ -125,7 +132,7 @@ impl Learner {
                 losses = found;
             }
         }
-        if actor_is_due {
+        if actor_is_due && !self.is_actor_frozen {
             self.compute_actor_gradient(batch);
             let TrainableNetwork { network, target, adam } = &mut self.actor;
             let follow = Some((target.parameters_mut(), self.learning.tau));
@@ -184,8 +191,54 @@ impl Learner {
         losses
     }
 
+    /// Performs a step of the actor towards the expert's actions; returns the sum of the losses.
+    pub(super) fn imitate(
+        &mut self,
+        batch: &ImitationBatch,
+        imitation: &ImitationConfig,
+        adam: &mut Adam,
+        rate: f32,
+    ) -> f64 {
+        let sum = self.compute_imitation_gradient(batch, imitation);
+        let network = &mut self.actor.network;
+        adam.step(network.parameters_mut(), &self.workspace.actor_gradients, rate, None);
+        sum
+    }
+
+    /// Computes the gradient of the mean over the batch of w (loss(π(s) - e) + change · ((π(s') - π(s)) - (e' - e))²),
+    /// with the row's weight w and the expert's actions e. Returns n times that mean.
+    fn compute_imitation_gradient(&mut self, batch: &ImitationBatch, imitation: &ImitationConfig) -> f64 {
+        let n = batch.actions.len() as f32;
+        self.act(&batch.states);
+        let UpdateWorkspace { actor, actions, value_gradients, actor_gradients, .. } = &mut self.workspace;
+        let (actions, next_actions) = actions.split_at(batch.actions.len());
+        value_gradients.clear();
+        let mut sum = 0.0;
+        for ((&action, &wanted), &weight) in actions.iter().zip(&batch.actions).zip(&batch.weights) {
+            let off = action - wanted;
+            let (cost, slope) = match imitation.loss {
+                ImitationLoss::Squared => (off * off, 2.0 * off),
+                ImitationLoss::Absolute => (off.abs(), if off == 0.0 { 0.0 } else { off.signum() }),
+            };
+            sum += f64::from(weight * cost);
+            value_gradients.push(weight * slope / n * (1.0 - action * action));
+        }
+        for (row, (&next, &next_wanted)) in next_actions.iter().zip(&batch.next_actions).enumerate() {
+            let action = actions[row];
+            let off = (next - action) - (next_wanted - batch.actions[row]);
+            let weight = imitation.change_weight * batch.weights[row];
+            sum += f64::from(weight * off * off);
+            let slope = 2.0 * weight * off / n;
+            value_gradients[row] -= slope * (1.0 - action * action);
+            value_gradients.push(slope * (1.0 - next * next));
+        }
+        actor_gradients.resize(self.actor.network.parameters().len(), 0.0);
+        actor.backward(&self.actor.network, value_gradients, actor_gradients);
+        sum
+    }
+
     /// Computes the gradient of the actor's loss, -mean Q(s, π(s)) + penalty · mean max(0, |z| - 1)² + smoothness ·
-    /// mean (π(s) - π(s'))².
+    /// mean (π(s) - π(s'))² + imitation · mean (π(s) - e)², with the expert's actions e.
     fn compute_actor_gradient(&mut self, batch: &Batch) {
         let n = batch.len() as f32;
         // The actor is evaluated on the states, then on the next states.
@@ -216,6 +269,14 @@ impl Learner {
                 slope * (1.0 - action * action) + penalty * (raw - raw.clamp(-1.0, 1.0))
             }),
         );
+        let imitation = 2.0 * self.imitation_weight / n;
+        if imitation > 0.0 {
+            for ((slope, &action), &wanted) in value_gradients.iter_mut().zip(actions).zip(&batch.expert_actions) {
+                // Without an answer of the expert nothing pulls.
+                let off = if wanted == NO_EXPERT_ACTION { 0.0 } else { action - wanted };
+                *slope += imitation * off * (1.0 - action * action);
+            }
+        }
         let changes = actions.iter().zip(next_actions).zip(&batch.continues);
         for (row, ((&action, &next), &continues)) in changes.enumerate() {
             let pull = smoothness * continues * (action - next);
@@ -268,4 +329,46 @@ fn init_network(sizes: &[usize], final_bound: f32, stream: &mut Stream) -> Netwo
         }
     }
     network
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The gradient of imitation equals differences of its loss.
+    #[test]
+    fn imitation_follows_the_slope_of_its_loss() {
+        let mut config = TrainingConfig::preset("fast").unwrap();
+        config.network.hidden = vec![6, 5];
+        config.network.final_layer_bound = 0.5;
+        let imitation: &str = include_str!("tests/imitation.toml").split_once("[imitation]").unwrap().1;
+        let imitation: ImitationConfig = toml::from_str(imitation).unwrap();
+        let mut learner = Learner::new(&config, 3);
+        let mut stream = random::stream(5, Purpose::Exploration, 0);
+        let mut numbers = |count: usize| -> Vec<f32> { (0..count).map(|_| stream.random_range(-1.0..1.0)).collect() };
+        let batch = ImitationBatch {
+            states: numbers(2 * 4 * learner.state_width),
+            actions: numbers(4),
+            next_actions: numbers(4),
+            weights: vec![1.0, 3.0, 0.5, 2.0],
+        };
+        for loss in [ImitationLoss::Squared, ImitationLoss::Absolute] {
+            let imitation = ImitationConfig { loss, ..imitation.clone() };
+            learner.compute_imitation_gradient(&batch, &imitation);
+            let gradients = learner.workspace.actor_gradients.clone();
+            for (index, &gradient) in gradients.iter().enumerate().step_by(7) {
+                let mut at = |offset: f32| {
+                    learner.actor.network.parameters_mut()[index] += offset;
+                    let sum = learner.compute_imitation_gradient(&batch, &imitation);
+                    learner.actor.network.parameters_mut()[index] -= offset;
+                    sum / 4.0
+                };
+                let slope = (at(2e-3) - at(-2e-3)) / 4e-3;
+                assert!(
+                    (slope - f64::from(gradient)).abs() < 2e-3 * (1.0 + slope.abs()),
+                    "{index}: {slope} {gradient}"
+                );
+            }
+        }
+    }
 }

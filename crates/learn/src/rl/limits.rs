@@ -60,6 +60,13 @@ impl TrainingConfig {
         for (layer, &width) in self.network.hidden.iter().enumerate() {
             check_range(&format!("network.hidden[{layer}]"), width as f64, [1.0, 4096.0])?;
         }
+        if let Some(imitation) = &self.imitation {
+            imitation.check()?;
+            if self.environment.residual_over.is_some() {
+                let problem = "an expert's answer is no action of a residual policy: remove environment.departs_from";
+                return Err(TrainingConfigError::field("imitation", problem));
+            }
+        }
         check_range("network.final_layer_bound", f64::from(self.network.final_layer_bound), [0.0, 1.0])?;
         check_range("learning.actor_rate", f64::from(self.learning.actor_rate), [0.0, 1.0])?;
         check_range("learning.critic_rate", f64::from(self.learning.critic_rate), [0.0, 1.0])?;
@@ -116,7 +123,7 @@ impl TrainingConfig {
     }
 
     /// Returns an upper bound of the bytes of each part of a training, with the field that determines it.
-    fn memory_by_field(&self) -> [(&'static str, u64); 4] {
+    fn memory_by_field(&self) -> [(&'static str, u64); 5] {
         let inputs = self.environment.observation.width() + self.learning.privileged_width() + 1;
         let widths: Vec<u64> = [&[inputs], &self.network.hidden[..], &[1]].concat().iter().map(|&w| w as u64).collect();
         let parameters: u64 = widths.windows(2).map(|pair| (pair[0] + 1) * pair[1]).sum();
@@ -129,6 +136,13 @@ impl TrainingConfig {
             ("learning.batch", float_bytes(BATCH_COPIES * self.learning.batch as u64 * widths.iter().sum::<u64>())),
             ("replay.capacity", float_bytes(replay)),
             ("evaluation.ranking_draws", draws * SCENARIO_BYTES),
+            (
+                "imitation.rows",
+                float_bytes(self.imitation.as_ref().map_or(0, |imitation| {
+                    let row = self.environment.observation.width() as u64 + 3;
+                    imitation.rows.saturating_mul(u64::from(imitation.rounds)).saturating_mul(row)
+                })),
+            ),
         ]
     }
 }

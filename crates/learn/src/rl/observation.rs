@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::config_error::TrainingConfigError;
 use super::serde_helpers::{is_one, one};
-use crumple_world::policy::{MAX_HISTORY, ObservationScaling, STATE_LEN};
+use crumple_world::policy::{ExtraInput, MAX_EXTRA_INPUTS, MAX_HISTORY, ObservationScaling, STATE_LEN};
 
 /// Inputs of the networks, each as `(x - offset) / scale`, clipped to ±`limit`. Quantities that `inputs` omits are 0.
 ///
@@ -28,6 +28,9 @@ pub struct ObservationConfig {
     pub history_every: u32,
     /// Selected inputs.
     pub inputs: ObservationInputs,
+    /// Inputs besides the paper's eight, such as the last answer or time gaps.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub extra: Vec<ExtraInput>,
 }
 
 /// Returns the schema condition: `history_every` of 2 or more requires a `history`.
@@ -114,18 +117,13 @@ impl Default for ObservationConfig {
         for ((_, input), (offset, scale)) in inputs.fields_mut().into_iter().zip(offset.into_iter().zip(scale)) {
             *input = Some(InputScaling { offset, scale });
         }
-        Self { limit, empty_gap_m, history: 1, history_every: 1, inputs }
+        Self { limit, empty_gap_m, history: 1, history_every: 1, inputs, extra: Vec::new() }
     }
 }
 
 impl ObservationConfig {
     pub(super) fn width(&self) -> usize {
-        STATE_LEN * self.history as usize
-    }
-
-    /// Returns the number of decisions in the observation and the interval between them.
-    pub(super) fn frames_and_stride(&self) -> [usize; 2] {
-        [self.history as usize, self.history_every as usize]
+        (STATE_LEN + self.extra.len()) * self.history as usize
     }
 
     /// Returns the scaling for a policy file.
@@ -139,6 +137,7 @@ impl ObservationConfig {
             empty_gap_m: self.empty_gap_m,
             history: self.history as usize,
             history_every: self.history_every as usize,
+            extra: self.extra.clone(),
         }
     }
 
@@ -149,13 +148,17 @@ impl ObservationConfig {
             let of = |field| format!("inputs.{name}.{field}");
             [(of("offset"), input.offset, [-1e4, 1e4]), (of("scale"), input.scale, [1e-3, 1e4])]
         });
+        let extra = self.extra.iter().enumerate().flat_map(|(index, input)| {
+            let of = |field| format!("extra[{index}].{field}");
+            [(of("offset"), input.offset, [-1e4, 1e4]), (of("scale"), input.scale, [1e-3, 1e4])]
+        });
         let whole = [
             ("limit".to_owned(), self.limit, [0.1, 1000.0]),
             ("empty_gap_m".to_owned(), self.empty_gap_m, [1.0, 1e4]),
             ("history".to_owned(), f64::from(self.history), [1.0, MAX_HISTORY as f64]),
             ("history_every".to_owned(), f64::from(self.history_every), [1.0, MAX_HISTORY as f64]),
         ];
-        let all = whole.into_iter().chain(inputs);
+        let all = whole.into_iter().chain(inputs).chain(extra);
         all.map(|(name, value, range)| (format!("environment.observation.{name}"), value, range))
     }
 
@@ -165,6 +168,10 @@ impl ObservationConfig {
             let problem =
                 "is the interval between past decisions in the observation: remove it, or set `history` to 2 or more";
             return Err(TrainingConfigError::field("environment.observation.history_every", problem));
+        }
+        if self.extra.len() > MAX_EXTRA_INPUTS {
+            let problem = format!("must have at most {MAX_EXTRA_INPUTS} inputs, found {}", self.extra.len());
+            return Err(TrainingConfigError::field("environment.observation.extra", problem));
         }
         if self.inputs == ObservationInputs::default() {
             let problem = "the observation is empty; name at least one input";
@@ -188,7 +195,9 @@ mod tests {
         let neighbour = Neighbour { gap_m: 24.0, speed_mps: 25.0, acceleration_mps2: -5.0 };
         let seen =
             Observation { speed_mps: 0.0, acceleration_mps2: 5.0, ahead: Some(neighbour), behind: Some(neighbour) };
-        assert_eq!(config.scaling().state(&seen), [0.5, 0.0, 1.0, -1.0, 1.0, 0.0, 1.0, -1.0]);
+        let mut state = [0.0; STATE_LEN];
+        config.scaling().write_state(&seen, 0.0, &mut state);
+        assert_eq!(state, [0.5, 0.0, 1.0, -1.0, 1.0, 0.0, 1.0, -1.0]);
         config.inputs = ObservationInputs::default();
         assert!(config.check().is_err());
     }

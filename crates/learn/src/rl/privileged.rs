@@ -16,6 +16,13 @@ const LOOKAHEAD_S: [f64; 2] = [1.0, 3.0];
 /// Floor of the cost multiplier before log10.
 const MIN_COST_MULTIPLIER: f64 = 0.01;
 
+/// True if the follower holds its speed until its emergency brake fires: `baseline`. All other controllers react to
+/// their leader.
+pub(super) fn has_unaware_follower(scenario: &Scenario) -> bool {
+    let behind = scenario.vehicles().get(EGO + 1);
+    behind.is_some_and(|vehicle| matches!(vehicle.driver, Driver::Controller(ControllerSpec::Baseline(_))))
+}
+
 /// Constants of an episode, and the scenario with the leader's script.
 #[derive(Debug)]
 pub(super) struct PrivilegedInfo<'s> {
@@ -28,9 +35,6 @@ impl<'s> PrivilegedInfo<'s> {
         let behind = scenario.vehicles().get(EGO + 1);
         let brake = |index: usize| scenario.usable_brake_mps2(index) / FULL_BRAKE_MPS2;
         let flag = |is: bool| f64::from(u8::from(is));
-        // `baseline` holds its speed until its emergency brake fires; all other controllers react to their leader.
-        let holds_its_speed =
-            behind.is_some_and(|vehicle| matches!(vehicle.driver, Driver::Controller(ControllerSpec::Baseline(_))));
         let of_episode = [
             costs_times.max(MIN_COST_MULTIPLIER).log10(),
             scenario.spec().environment.friction,
@@ -39,7 +43,7 @@ impl<'s> PrivilegedInfo<'s> {
             behind.map_or(0.0, |_| brake(EGO + 1)),
             behind.map_or(0.0, |vehicle| vehicle.reaction_delay_s),
             flag(behind.is_some()),
-            flag(holds_its_speed),
+            flag(has_unaware_follower(scenario)),
         ];
         Self { scenario, episode_constants: of_episode.map(|number| number as f32) }
     }

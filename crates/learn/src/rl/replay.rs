@@ -23,10 +23,14 @@ pub struct Transition<'a> {
     pub continues: bool,
     /// True if the transition ended in a collision.
     pub contact: bool,
+    /// Action of the expert, in `[-1, 1]`; none without imitation.
+    pub expert_action: Option<f32>,
 }
 
-/// Numbers of a transition besides observations: action, reward, `continues`, `contact`.
-const SCALAR_COUNT: usize = 4;
+/// Numbers of a transition besides observations: action, reward, `continues`, `contact`, the expert's action.
+const SCALAR_COUNT: usize = 5;
+/// Stands for the action of an absent expert: above every action. Checkpoints hold finite numbers only.
+pub(super) const NO_EXPERT_ACTION: f32 = 2.0;
 
 /// Layout of a stored transition.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -72,6 +76,8 @@ pub struct Batch {
     pub next_privileged: Vec<f32>,
     /// 1 if the value of the next state is bootstrapped, else 0.
     pub continues: Vec<f32>,
+    /// Actions of the expert; 2 without imitation.
+    pub expert_actions: Vec<f32>,
 }
 
 impl Batch {
@@ -96,6 +102,7 @@ impl Batch {
             &mut self.next_states,
             &mut self.next_privileged,
             &mut self.continues,
+            &mut self.expert_actions,
         ] {
             array.clear();
         }
@@ -111,6 +118,7 @@ impl Batch {
         self.privileged.extend_from_slice(now);
         self.next_privileged.extend_from_slice(next);
         self.continues.push(f32::from(u8::from(transition.continues)));
+        self.expert_actions.push(transition.expert_action.unwrap_or(NO_EXPERT_ACTION));
     }
 }
 
@@ -138,7 +146,13 @@ impl ReplayBuffer {
         let place = (self.total_stored % self.capacity as u64) as usize;
         let known = [transition.state, transition.next_state, transition.privileged].into_iter().flatten().copied();
         let [continues, contact] = [transition.continues, transition.contact].map(|is| f32::from(u8::from(is)));
-        let scalars: [f32; SCALAR_COUNT] = [transition.action, transition.reward, continues, contact];
+        let scalars: [f32; SCALAR_COUNT] = [
+            transition.action,
+            transition.reward,
+            continues,
+            contact,
+            transition.expert_action.unwrap_or(NO_EXPERT_ACTION),
+        ];
         let numbers: Vec<f32> = known.chain(scalars).collect();
         debug_assert_eq!(numbers.len(), self.width, "as wide as the memory");
         match self.data.chunks_exact_mut(self.width).nth(place) {
@@ -212,11 +226,12 @@ impl ReplayBuffer {
 
     fn transition(&self, place: usize) -> Option<Transition<'_>> {
         let row = self.data.get(place * self.width..(place + 1) * self.width)?;
-        let (known, &[action, reward, continues, contact]) = row.split_last_chunk()?;
+        let (known, &[action, reward, continues, contact, expert]) = row.split_last_chunk()?;
         let (state, known) = known.split_at_checked(self.layout.state_width)?;
         let (next_state, privileged) = known.split_at_checked(self.layout.state_width)?;
         let (continues, contact) = (continues != 0.0, contact != 0.0);
-        Some(Transition { state, next_state, privileged, action, reward, continues, contact })
+        let expert_action = Some(expert).filter(|&action| action != NO_EXPERT_ACTION);
+        Some(Transition { state, next_state, privileged, action, reward, continues, contact, expert_action })
     }
 }
 
@@ -239,6 +254,7 @@ mod tests {
             reward: number as f32,
             continues: !number.is_multiple_of(7),
             contact: number.is_multiple_of(7),
+            expert_action: (!number.is_multiple_of(3)).then_some(0.25),
         }
     }
 

@@ -6,6 +6,7 @@ use std::sync::{Mutex, PoisonError};
 use serde::Serialize;
 
 use super::evaluation::{EvaluationSet, PolicyEvaluation};
+use super::imitation::ImitationRound;
 use super::trainer::{EpisodeRecord, Trainer, TrainingError};
 use crumple_core::observer::Observer;
 
@@ -14,6 +15,8 @@ use crumple_core::observer::Observer;
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
 pub enum TrainingEvent {
+    /// A round of imitation is over.
+    Imitation(ImitationRound),
     /// An episode is over.
     Episode(EpisodeRecord),
     /// The actor was evaluated.
@@ -86,8 +89,9 @@ pub(crate) fn train_with_recorder<E: From<TrainingError>>(
     held_out: &EvaluationSet,
     recorder: &mut impl TrainingRecorder<E>,
 ) -> Result<(), E> {
-    // The untrained policy is the reference for the improvement by training.
+    // The policy before reinforcement learning is the reference for the improvement by it.
     if trainer.episode() == 0 {
+        trainer.imitate(|round| recorder.record(&TrainingEvent::Imitation(*round)))?;
         evaluate_and_record(trainer, held_out, recorder)?;
     }
     while !trainer.is_done() {

@@ -21,7 +21,7 @@ use crumple_store::run_folder::RunFolderError;
 use crumple_world::control::ControllerSpec;
 use crumple_world::policy::{FrameStack, Network, POLICY_VERSION, Policy, PolicyError, PolicyHeader};
 use crumple_world::random::{self, Purpose};
-use crumple_world::scenario::{InvalidField, PAPER_STEP_S};
+use crumple_world::scenario::{InvalidField, PAPER_STEP_S, Scenario};
 use crumple_world::sim::{Run, RunError, RunOptions};
 
 /// Factor over the largest possible value above which the mean value of a batch counts as diverged.
@@ -227,20 +227,27 @@ impl Trainer {
         let index = self.episode;
         // A derived seed keeps training scenarios apart from every seed that a user may assess with.
         let draws_seed = random::derived_seed(self.seed, u64::MAX);
-        let scenario = self.source.draw(draws_seed, index)?;
-        if let Some(problem) = unsuitability(&scenario) {
-            return Err(TrainingError::UnsuitableScenario { name: scenario.spec().name.clone(), problem });
-        }
-        // Actions replace the ego vehicle's controller at every step.
-        let options = RunOptions::new(ControllerSpec::MatchLeader(Default::default()))
-            .with_estimator(self.config.environment.estimator);
+        let scenario = self.draw(draws_seed, index)?;
+        // Actions replace the ego vehicle's controller at every step; an expert is only consulted.
+        let imitation = self.config.imitation.as_ref();
+        let controller = match imitation {
+            Some(imitation) => imitation.expert_in(&scenario)?,
+            None => ControllerSpec::MatchLeader(Default::default()),
+        };
+        let options = RunOptions::new(controller).with_estimator(self.config.environment.estimator);
         let run = Run::new(&scenario, options)?;
         let constants = EpisodeConstants::new(self.config.environment.clone(), self.config.learning.discount);
         let mut episode = TrainingEpisode::new(&run, &constants.for_episode(self.source.as_ref(), draws_seed, index));
+        if let Some(imitation) = imitation {
+            episode = episode.with_expert(imitation.expert_estimator);
+            self.learner.imitation_weight = imitation.weight * libm::pow(imitation.weight_decay, index as f64) as f32;
+        }
         let mut trials = random::stream(self.seed, Purpose::Exploration, index);
         let mut draws = random::stream(self.seed, Purpose::ReplaySampling, index);
         let mut target_noise = random::stream(self.seed, Purpose::TargetNoise, index);
         let learned_episodes = index.checked_sub(self.config.exploration.learning_starts_episode);
+        self.learner.is_actor_frozen = learned_episodes.is_none();
+        let learned_episodes = learned_episodes.or(imitation.map(|_| 0));
         let noise = learned_episodes.map(|episodes| {
             let decay = self.config.exploration.noise_decay.powf(episodes as f64);
             (self.config.exploration.noise * decay) as f32
@@ -252,12 +259,11 @@ impl Trainer {
         let decisions_held =
             u64::from(self.config.exploration.random_hold_steps / self.config.environment.action_repeat).max(1);
         let (decisions_before, mut held) = (self.decisions, 0.0);
-        let back = self.config.environment.observation.frames_and_stride();
         let mut past = FrameStack::default();
         let privileged = PrivilegedInfo::new(&scenario, self.source.cost_multiplier(draws_seed, index));
         let is_privileged = self.config.learning.privileged_critic;
         let known_besides = |episode: &TrainingEpisode| is_privileged.then(|| privileged.observe(episode));
-        let mut state = past.push(back, &episode.state()).to_vec();
+        let mut state = episode.observe(&mut past).to_vec();
         let mut besides: Vec<f32> = known_besides(&episode).into_iter().flatten().collect();
         let ending = loop {
             let action = match noise {
@@ -274,7 +280,7 @@ impl Trainer {
                 }
             };
             let after = episode.step(action);
-            let next_state = past.push(back, &after.next_state);
+            let next_state = episode.observe(&mut past);
             besides.extend(known_besides(&episode).into_iter().flatten());
             self.replay.push(&Transition {
                 state: &state,
@@ -284,6 +290,7 @@ impl Trainer {
                 reward: after.reward,
                 continues: after.continues,
                 contact: after.ending == EpisodeEnding::Contact,
+                expert_action: after.expert_action,
             });
             state.copy_from_slice(next_state);
             besides.drain(..besides.len() / 2);
@@ -315,6 +322,20 @@ impl Trainer {
         };
         self.check_divergence(&record, scenario.steps())?;
         Ok(record)
+    }
+
+    /// Returns a scenario of the source, if the agent can be trained on it.
+    pub(super) fn draw(&self, seed: u64, index: u64) -> Result<Scenario, TrainingError> {
+        let scenario = self.source.draw(seed, index)?;
+        match unsuitability(&scenario) {
+            Some(problem) => Err(TrainingError::UnsuitableScenario { name: scenario.spec().name.clone(), problem }),
+            None => Ok(scenario),
+        }
+    }
+
+    /// Returns the policy of the actor as it is.
+    pub(super) fn present_policy(&self) -> Result<Policy, TrainingError> {
+        self.build_policy(self.learner.actor.network.clone(), self.episode)
     }
 
     fn check_divergence(&self, record: &EpisodeRecord, steps: usize) -> Result<(), TrainingError> {

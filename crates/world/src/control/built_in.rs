@@ -100,6 +100,13 @@ macro_rules! define {
                     Self::NotStarted(failure) => Err(failure.clone()),
                 }
             }
+
+            fn record_command(&mut self, command_mps2: f64) {
+                match self {
+                    $(Self::$rule(controller) => controller.record_command(command_mps2),)*
+                    _ => {}
+                }
+            }
         }
 
         impl AnyController {

@@ -8,7 +8,7 @@ use serde::Serialize;
 use super::mapping::{InputMapping, OutputMapping, Squash};
 use super::{InvalidMapping, NetworkController, ObservedQuantity};
 use crate::network::{Elementwise, Linear, NetworkFormat, NetworkStep};
-use crate::policy::ObservationScaling;
+use crate::observation::EMPTY_GAP_M;
 
 const METADATA_KEY: &str = "crumple_network";
 const VERSION: u32 = 1;
@@ -102,7 +102,7 @@ impl NetworkController {
                 low_mps2,
                 high_mps2,
             },
-            empty_gap_m: ObservationScaling::default().empty_gap_m,
+            empty_gap_m: EMPTY_GAP_M,
             decision_interval_s,
         };
         let unwritten = |error: String| InvalidMapping::new("network", error);
@@ -119,7 +119,10 @@ impl NetworkController {
 
 fn why_not_affine(quantity: ObservedQuantity) -> Option<&'static str> {
     match quantity {
-        ObservedQuantity::TimeGapAheadS | ObservedQuantity::TimeGapBehindS => {
+        ObservedQuantity::TimeGapAheadS
+        | ObservedQuantity::TimeGapBehindS
+        | ObservedQuantity::TimeToCollisionAheadS
+        | ObservedQuantity::TimeToCollisionBehindS => {
             Some("is a quotient of what is observed, and only sums and differences can be followed")
         }
         ObservedQuantity::LastAnswerMps2 => Some("is memory, and only a network without memory can be followed"),

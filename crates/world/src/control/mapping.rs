@@ -154,8 +154,7 @@ impl Mapping {
     #[must_use]
     pub fn native() -> Self {
         use ObservedQuantity as Q;
-        let ObservationScaling { offset, scale, limit, empty_gap_m, history, history_every: _ } =
-            ObservationScaling::default();
+        let ObservationScaling { offset, scale, limit, empty_gap_m, history, .. } = ObservationScaling::default();
         let ActionBounds { low_mps2, high_mps2, .. } = ActionBounds::default();
         let order = [
             Q::GapAheadM,

@@ -67,7 +67,6 @@ mod network;
 mod policy;
 mod predictive;
 mod process;
-mod quantity;
 mod r157_simple;
 mod reaction;
 mod rss;
@@ -76,6 +75,7 @@ mod source;
 mod space_check;
 mod stress;
 
+pub use crate::observation::ObservedQuantity;
 pub use acc_aeb::{AccAeb, AccAebSettings};
 pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
 pub(crate) use built_in::AnyController;
@@ -97,7 +97,6 @@ pub use process::{
     FmuConfig, FmuProblem, NameOrigin, ProcessController, ProcessSetup, StartPermission, StartRefusal, allow_external,
     is_external_allowed,
 };
-pub use quantity::ObservedQuantity;
 pub use r157_simple::{R157Simple, R157SimpleSettings};
 pub use rss::{Rss, RssSettings};
 pub use shield::{
@@ -153,6 +152,10 @@ pub trait Controller: Send {
     /// # Errors
     /// [`ControllerFailure`] if there is no answer; the run ends there.
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure>;
+
+    /// Tells the controller that another acceleration than its answer was commanded, in m/s². A controller that learns
+    /// from the effect of its commands needs this when it is only consulted.
+    fn record_command(&mut self, _command_mps2: f64) {}
 
     /// Decides for many vehicles. Calls `see` once per controller, in order; each controller decides as it would alone.
     /// Writes answers to `commands_mps2`, and failures with their index to `failed`.

@@ -37,7 +37,8 @@ impl PolicyDriver {
 impl Controller for PolicyDriver {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         if self.decision_timer.tick() {
-            let row = self.policy.observe(seen, &mut self.frame_stack);
+            let last_answer_mps2 = self.held_action.last_answer_mps2();
+            let row = self.policy.observe(seen, last_answer_mps2, &mut self.frame_stack);
             self.held_action.set(self.policy.choose(row, &mut self.workspace));
         }
         Ok(self.held_action.acceleration_mps2(&self.policy.header().action, seen, self.step_s))
@@ -54,7 +55,8 @@ impl Controller for PolicyDriver {
         let (mut due, mut rows) = (Vec::new(), Vec::new());
         for (index, (driver, observation)) in all.iter_mut().zip(&all_seen).enumerate() {
             if driver.decision_timer.tick() {
-                let row = driver.policy.observe(observation, &mut driver.frame_stack);
+                let last_answer_mps2 = driver.held_action.last_answer_mps2();
+                let row = driver.policy.observe(observation, last_answer_mps2, &mut driver.frame_stack);
                 rows.extend_from_slice(row);
                 due.push((index, row.len(), Arc::clone(&driver.policy)));
             }

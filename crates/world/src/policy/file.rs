@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensorError, SafeTensors};
 
-use super::header::{POLICY_VERSION, PolicyHeader, STATE_LEN};
+use super::header::{POLICY_VERSION, PolicyHeader};
 use super::{Network, Policy, ResidualControl};
 
 const METADATA_KEY: &str = "crumple_policy";
@@ -18,6 +18,8 @@ const MAX_LAYERS: usize = 16;
 const MAX_LAYER_WIDTH: usize = 4096;
 /// Maximum number of decisions in the history of a network, and of decisions between two of its frames.
 pub const MAX_HISTORY: usize = 64;
+/// Maximum number of inputs per decision besides the paper's eight.
+pub const MAX_EXTRA_INPUTS: usize = 32;
 
 /// Reason why a policy cannot be used.
 #[derive(Debug, thiserror::Error)]
@@ -156,7 +158,7 @@ fn tensor_names(layers: usize) -> impl Iterator<Item = String> {
 }
 
 pub(super) fn layer_sizes(header: &PolicyHeader) -> Vec<usize> {
-    [&[STATE_LEN * header.observation.history], header.hidden.as_slice(), &[1]].concat()
+    [&[header.observation.width() * header.observation.history], header.hidden.as_slice(), &[1]].concat()
 }
 
 fn tensor_error(tensor: &str, problem: String) -> PolicyError {
@@ -199,11 +201,16 @@ pub(super) fn check_header(header: &PolicyHeader) -> Result<(), PolicyError> {
         return wrong("hidden", format!("a layer must be 1 to {MAX_LAYER_WIDTH} wide, found {width}"));
     }
     let observation = &header.observation;
-    if !observation.offset.iter().all(|offset| offset.is_finite()) {
-        return wrong("observation.offset", "must be finite".to_owned());
+    let extra = &observation.extra;
+    if extra.len() > MAX_EXTRA_INPUTS {
+        return wrong("observation.extra", format!("at most {MAX_EXTRA_INPUTS} are allowed, found {}", extra.len()));
     }
-    if !observation.scale.iter().all(|scale| scale.is_finite() && *scale > 0.0) {
-        return wrong("observation.scale", "must be positive".to_owned());
+    if !observation.offset.iter().chain(extra.iter().map(|input| &input.offset)).all(|offset| offset.is_finite()) {
+        return wrong("observation", "every offset must be finite".to_owned());
+    }
+    let mut scales = observation.scale.iter().chain(extra.iter().map(|input| &input.scale));
+    if !scales.all(|scale| scale.is_finite() && *scale > 0.0) {
+        return wrong("observation", "every scale must be positive".to_owned());
     }
     for (field, decisions) in
         [("observation.history", observation.history), ("observation.history_every", observation.history_every)]

@@ -3,12 +3,12 @@
 use serde::{Deserialize, Serialize};
 
 use super::residual::ResidualControl;
-use crate::observation::{EstimatorKind, Neighbour, Observation};
+use crate::observation::{EMPTY_GAP_M, EstimatorKind, Neighbour, Observation, ObservedQuantity};
 
 /// Version of the policy file format that this release reads and writes.
 pub const POLICY_VERSION: u32 = 1;
 
-/// Number of inputs of a policy per decision: the paper's eight.
+/// Number of the paper's inputs per decision, which every policy has.
 pub const STATE_LEN: usize = 8;
 
 /// Header of a policy file.
@@ -21,7 +21,7 @@ pub struct PolicyHeader {
     pub crumple: String,
     /// Widths of the hidden layers, input side first.
     pub hidden: Vec<usize>,
-    /// Scaling of the eight numbers to inputs of the network.
+    /// Inputs of the network.
     pub observation: ObservationScaling,
     /// Mapping of the network's answer to an acceleration.
     pub action: ActionBounds,
@@ -57,6 +57,22 @@ pub struct ObservationScaling {
     /// Number of decisions between two of these; 5 with decisions 0.1 s apart means 0.5 s.
     #[serde(default = "one", skip_serializing_if = "is_one")]
     pub history_every: usize,
+    /// Inputs after the paper's eight.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub extra: Vec<ExtraInput>,
+}
+
+/// Input of a policy that the paper does not have, as `(x - offset) / scale`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct ExtraInput {
+    /// The quantity.
+    pub quantity: ObservedQuantity,
+    /// Offset that is subtracted, in the unit of the quantity.
+    pub offset: f64,
+    /// Positive divisor, in the unit of the quantity.
+    pub scale: f64,
 }
 
 fn one() -> usize {
@@ -74,18 +90,25 @@ impl Default for ObservationScaling {
             offset: [16.0, 16.0, 12.5, 12.5, 12.5, 0.0, 0.0, 0.0],
             scale: [16.0, 16.0, 12.5, 12.5, 12.5, 5.0, 5.0, 5.0],
             limit: 4.0,
-            empty_gap_m: 80.0,
+            empty_gap_m: EMPTY_GAP_M,
             history: one(),
             history_every: one(),
+            extra: Vec::new(),
         }
     }
 }
 
 impl ObservationScaling {
-    /// Returns the inputs of the current decision. NaN counts as 0, infinity as the limit.
+    /// Returns the number of inputs per decision.
     #[must_use]
+    pub fn width(&self) -> usize {
+        STATE_LEN + self.extra.len()
+    }
+
+    /// Writes the inputs of the current decision, [`width`](Self::width) numbers. NaN counts as 0, infinity as the
+    /// limit. `last_answer_mps2` is the controller's last answer.
     #[inline]
-    pub fn state(&self, seen: &Observation) -> [f32; STATE_LEN] {
+    pub fn write_state(&self, seen: &Observation, last_answer_mps2: f64, state: &mut [f32]) {
         let empty = Neighbour { gap_m: self.empty_gap_m, speed_mps: seen.speed_mps, acceleration_mps2: 0.0 };
         let (ahead, behind) = (seen.ahead.unwrap_or(empty), seen.behind.unwrap_or(empty));
         let numbers = [
@@ -98,10 +121,18 @@ impl ObservationScaling {
             seen.acceleration_mps2,
             behind.acceleration_mps2,
         ];
-        std::array::from_fn(|i| {
-            let scaled = (numbers[i] - self.offset[i]) / self.scale[i];
+        let scaled = |number: f64, offset: f64, scale: f64| {
+            let scaled = (number - offset) / scale;
             if scaled.is_nan() { 0.0 } else { scaled.clamp(-self.limit, self.limit) as f32 }
-        })
+        };
+        let paper = numbers.into_iter().zip(self.offset).zip(self.scale);
+        let (first, rest) = state.split_at_mut(STATE_LEN.min(state.len()));
+        for (input, ((number, offset), scale)) in first.iter_mut().zip(paper) {
+            *input = scaled(number, offset, scale);
+        }
+        for (input, extra) in rest.iter_mut().zip(&self.extra) {
+            *input = scaled(extra.quantity.value(seen, last_answer_mps2, None), extra.offset, extra.scale);
+        }
     }
 }
 
@@ -126,6 +157,13 @@ impl Default for ActionBounds {
 }
 
 impl ActionBounds {
+    /// Returns the action, between -1 and 1, that stands for an acceleration without a base controller.
+    #[must_use]
+    pub fn action(&self, acceleration_mps2: f64) -> f32 {
+        let action = (2.0 * acceleration_mps2 - self.low_mps2 - self.high_mps2) / (self.high_mps2 - self.low_mps2);
+        action.clamp(-1.0, 1.0) as f32
+    }
+
     /// Returns the action, between -1 and 1, for an output before tanh. NaN means full braking.
     #[inline]
     pub(crate) fn squash(raw: f32) -> f32 {

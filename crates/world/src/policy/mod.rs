@@ -15,9 +15,9 @@ mod simd;
 use std::sync::{Arc, LazyLock};
 
 pub use elementwise::Elementwise;
-pub use file::{MAX_HISTORY, PolicyError};
+pub use file::{MAX_EXTRA_INPUTS, MAX_HISTORY, PolicyError};
 pub use frame_stack::FrameStack;
-pub use header::{ActionBounds, ObservationScaling, POLICY_VERSION, PolicyHeader, STATE_LEN};
+pub use header::{ActionBounds, ExtraInput, ObservationScaling, POLICY_VERSION, PolicyHeader, STATE_LEN};
 pub use learning_curve::{COLLISION_FREE_REWARD, CurvePoint, LearningCurve};
 pub(crate) use network::PackedNetwork;
 pub use network::{Network, Workspace};
@@ -124,10 +124,10 @@ impl Policy {
         self.digest.clone()
     }
 
-    /// Returns the inputs of the network at a decision: [`STATE_LEN`] numbers per decision of the history.
-    pub fn observe<'p>(&self, seen: &Observation, past: &'p mut FrameStack) -> &'p [f32] {
-        let scaling = &self.header.observation;
-        past.push([scaling.history, scaling.history_every], &scaling.state(seen))
+    /// Returns the inputs of the network at a decision: [`ObservationScaling::width`] numbers per decision of the
+    /// history. `last_answer_mps2` is the controller's last answer.
+    pub fn observe<'p>(&self, seen: &Observation, last_answer_mps2: f64, past: &'p mut FrameStack) -> &'p [f32] {
+        past.push(&self.header.observation, seen, last_answer_mps2)
     }
 
     /// Returns the action for a row of [inputs](Policy::observe), between -1 and 1.

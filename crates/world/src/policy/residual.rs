@@ -72,11 +72,12 @@ impl ResidualControl {
     }
 }
 
-/// The current action and the residual so far.
+/// The current action, the residual so far and the last answer.
 #[derive(Debug, Clone, Copy, Default, PartialEq)]
 pub struct HeldAction {
     action: f32,
     residual: f64,
+    last_answer_mps2: f64,
 }
 
 impl HeldAction {
@@ -93,16 +94,31 @@ impl HeldAction {
         self.residual.abs()
     }
 
+    /// Returns the last answer, in m/s²; 0 before the first.
+    #[must_use]
+    #[inline]
+    pub fn last_answer_mps2(&self) -> f64 {
+        self.last_answer_mps2
+    }
+
+    /// Replaces the last answer, if another controller drove, in m/s².
+    pub fn set_last_answer_mps2(&mut self, answer_mps2: f64) {
+        self.last_answer_mps2 = answer_mps2;
+    }
+
     /// Returns the acceleration of the next step, in m/s²: linear in the action, or blended with the base controller.
     #[inline]
     pub fn acceleration_mps2(&mut self, bounds: &ActionBounds, seen: &Observation, step_s: f64) -> f64 {
         let ActionBounds { low_mps2, high_mps2, residual_over } = bounds;
-        let Some(control) = residual_over else {
-            return 0.5 * (low_mps2 + high_mps2) + 0.5 * (high_mps2 - low_mps2) * f64::from(self.action);
+        self.last_answer_mps2 = match residual_over {
+            None => 0.5 * (low_mps2 + high_mps2) + 0.5 * (high_mps2 - low_mps2) * f64::from(self.action),
+            Some(control) => {
+                let most = control.rate_per_s * step_s;
+                self.residual += (control.target_residual(f64::from(self.action)) - self.residual).max(-most).min(most);
+                control.acceleration_mps2(self.residual, seen, [*low_mps2, *high_mps2])
+            }
         };
-        let most = control.rate_per_s * step_s;
-        self.residual += (control.target_residual(f64::from(self.action)) - self.residual).max(-most).min(most);
-        control.acceleration_mps2(self.residual, seen, [*low_mps2, *high_mps2])
+        self.last_answer_mps2
     }
 }
 

@@ -49,7 +49,7 @@ fn any_observation() -> impl Strategy<Value = Observation> {
 
 fn first_acceleration_mps2(policy: &Policy, seen: &Observation) -> f64 {
     let mut held = HeldAction::default();
-    held.set(policy.choose(policy.observe(seen, &mut FrameStack::default()), &mut Workspace::default()));
+    held.set(policy.choose(policy.observe(seen, 0.0, &mut FrameStack::default()), &mut Workspace::default()));
     held.acceleration_mps2(&policy.header().action, seen, 0.01)
 }
 
@@ -63,7 +63,7 @@ proptest! {
         let policy = policy_with_history(history, &[33, 16], 0.1, seed);
         let mut space = Workspace::default();
         let mut past = FrameStack::default();
-        let rows: Vec<_> = seen.iter().map(|seen| policy.observe(seen, &mut past).to_vec()).collect();
+        let rows: Vec<_> = seen.iter().map(|seen| policy.observe(seen, 0.0, &mut past).to_vec()).collect();
         let mut together = vec![0.0; seen.len()];
         policy.choose_batch(&rows.concat(), &mut space, &mut together);
         for ((seen, row), together) in seen.iter().zip(&rows).zip(together) {
@@ -140,7 +140,7 @@ fn refusals_name_the_reason() {
     says(refused(&|p| p.header.hidden = vec![usize::MAX]), "1 to 4096 wide");
     says(refused(&|p| p.header.decision_interval_s = 0.0), "decision_interval_s");
     says(refused(&|p| p.header.action.low_mps2 = 5.0), "low_mps2 must be below");
-    says(refused(&|p| p.header.observation.scale[3] = 0.0), "observation.scale");
+    says(refused(&|p| p.header.observation.scale[3] = 0.0), "observation: every scale");
     says(refused(&|p| p.network.parameters_mut()[0] = f32::NAN), "not finite");
     says(
         refused(&|p| (p.header.action.low_mps2, p.header.action.high_mps2) = (f64::MIN, f64::MAX)),
@@ -173,7 +173,9 @@ proptest! {
         network.parameters_mut()[layer.offset..layer.biases().end].iter_mut().for_each(|value| *value *= factor);
         match Policy::new(header, network) {
             Ok(valid) => {
-                let raw = valid.packed.forward(&valid.header.observation.state(&seen), 1, &mut Workspace::default())[0];
+                let mut state = vec![0.0; valid.header.observation.width()];
+                valid.header.observation.write_state(&seen, 0.0, &mut state);
+                let raw = valid.packed.forward(&state, 1, &mut Workspace::default())[0];
                 prop_assert!(raw.is_finite());
             }
             Err(error) => prop_assert!(exp > 30 && error.to_string().contains("overflow"), "{}", error),

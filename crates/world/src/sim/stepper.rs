@@ -13,7 +13,7 @@ use super::shielding::interventions;
 use super::{AfterContact, FailedController, Impact, Motion, RecordingLevel, Run, SimulationResult, Trace};
 use crate::control::{Controller, ControllerFailure};
 use crate::estimate::EgoEstimator;
-use crate::observation::Observation;
+use crate::observation::{EstimatorKind, Observation};
 use crate::scenario::LeadProfile;
 
 /// A run in progress.
@@ -112,6 +112,31 @@ impl Stepper {
         Some(vehicle.observe(&self.platoon, index))
     }
 
+    /// Consults the driver of vehicle `index` at every step from now on, also when the vehicle is commanded from
+    /// outside. The driver observes as `estimator` says, independently of what [`observe`](Self::observe) returns.
+    pub fn consult(&mut self, index: usize, estimator: EstimatorKind) {
+        if let Some(vehicle) = self.loops.get_mut(index) {
+            vehicle.consulted = Some((estimator, 0.0));
+        }
+    }
+
+    /// Returns the answer of a [consulted](Self::consult) driver in the last step, in m/s².
+    #[must_use]
+    pub fn consulted_mps2(&self, index: usize) -> Option<f64> {
+        self.loops.get(index)?.consulted.map(|(_, answer_mps2)| answer_mps2)
+    }
+
+    /// Returns the state after a step, seen from vehicle `index`.
+    #[must_use]
+    pub fn view(&self, index: usize) -> StepView<'_> {
+        StepView {
+            motion: self.motion(),
+            gap_m: self.gap_m(index),
+            has_collided: self.has_collided(),
+            has_ended: self.ended,
+        }
+    }
+
     /// Commands an acceleration of vehicle `index` for the next step, in m/s².
     pub fn command(&mut self, index: usize, acceleration_mps2: f64) {
         if let Some(vehicle) = self.loops.get_mut(index) {
@@ -148,13 +173,7 @@ impl Stepper {
                 }
             }
             self.move_vehicles();
-            let moment = StepView {
-                motion: self.motion(),
-                gap_m: self.gap_m(index),
-                has_collided: self.has_collided(),
-                has_ended: self.ended,
-            };
-            if after(&moment).is_break() {
+            if after(&self.view(index)).is_break() {
                 return;
             }
         }
@@ -291,6 +310,8 @@ struct VehicleLoop {
     tracked_neighbours: [Option<usize>; 2],
     /// External command for this step.
     command_mps2: Option<f64>,
+    /// Observation of a driver that is consulted, and its last answer, in m/s².
+    consulted: Option<(EstimatorKind, f64)>,
 }
 
 impl VehicleLoop {
@@ -306,6 +327,7 @@ impl VehicleLoop {
             observation: None,
             tracked_neighbours: [platoon.lane.ahead(index), platoon.lane.behind(index)],
             command_mps2: None,
+            consulted: None,
         }
     }
 
@@ -341,6 +363,9 @@ impl VehicleLoop {
         }
         let seen = self.observation.take();
         let speed_mps = platoon.motion[index].speed_mps;
+        if self.consulted.is_some() {
+            self.consult_driver(seen, &true_state(platoon, index).observation)?;
+        }
         let command_mps2 = match (self.command_mps2.take(), &mut self.driver) {
             (Some(command_mps2), _) => command_mps2,
             (None, VehicleController::Profile(profile)) => profile.acceleration_mps2(from_s, to_s, speed_mps),
@@ -350,6 +375,21 @@ impl VehicleLoop {
             },
         };
         Ok(self.actuate(command_mps2, speed_mps, platoon.is_locked(index)))
+    }
+
+    /// Consults the driver, whose answer is also the command if there is none from outside.
+    fn consult_driver(&mut self, estimate: Option<Observation>, truth: &Observation) -> Result<(), ControllerFailure> {
+        let VehicleController::Controller(controller) = &mut self.driver else { return Ok(()) };
+        let Some((estimator, answer_mps2)) = &mut self.consulted else { return Ok(()) };
+        *answer_mps2 = match (estimator, estimate) {
+            (EstimatorKind::Kalman, Some(estimate)) => controller.decide(&estimate)?,
+            _ => controller.decide(truth)?,
+        };
+        match self.command_mps2 {
+            Some(command_mps2) => controller.record_command(command_mps2),
+            None => self.command_mps2 = Some(*answer_mps2),
+        }
+        Ok(())
     }
 
     #[inline]

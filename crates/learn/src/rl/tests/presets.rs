@@ -9,10 +9,16 @@ use toml::de::{DeTable, DeValue};
 use crate::retrain::training_preset;
 use crate::rl::{PRESETS, TrainingConfig};
 
-fn presets() -> impl Iterator<Item = (&'static str, &'static str)> {
+fn presets() -> impl Iterator<Item = (&'static str, String)> {
     const RETRAIN: &str = include_str!("../../retrain/preset.toml");
     assert!(training_preset().is_ok());
-    PRESETS.into_iter().chain([("retrain", RETRAIN), ("all", include_str!("every-field.toml"))])
+    let all = include_str!("every-field.toml");
+    // Imitation excludes a base controller.
+    let (before, rest) = all.split_once("[environment.departs_from]").unwrap();
+    let (_, after) = rest.split_once("comfortable_brake_mps2 = 1.5\n").unwrap();
+    let imitating = [before, after, include_str!("imitation.toml")].concat();
+    let presets = PRESETS.into_iter().chain([("retrain", RETRAIN), ("all", all), ("imitating", &imitating)]);
+    presets.map(|(name, text)| (name, text.to_owned())).collect::<Vec<_>>().into_iter()
 }
 
 /// Returns the path and the position of every value of a text that is no table and no list.
@@ -48,8 +54,8 @@ fn parse_error(text: &str) -> Option<String> {
 #[test]
 fn invalid_values_are_named_with_their_line() {
     for (preset, text) in presets() {
-        assert_eq!(parse_error(text), None, "{preset}");
-        for (field, at) in leaf_values(text) {
+        assert_eq!(parse_error(&text), None, "{preset}");
+        for (field, at) in leaf_values(&text) {
             let is_number = text[at.clone()].parse::<f64>().is_ok();
             let spoils: &[&str] = match &*field {
                 // Any text is a valid name, and any non-empty text names a space.
@@ -64,7 +70,7 @@ fn invalid_values_are_named_with_their_line() {
                 let spoiled = format!("{}{spoil}{}", &text[..at.start], &text[at.end..]);
                 let message =
                     parse_error(&spoiled).unwrap_or_else(|| panic!("{preset}: {field} = {spoil} is accepted"));
-                let expected = format!("own.toml:{}: {field}: ", line_number(text, at.start));
+                let expected = format!("own.toml:{}: {field}: ", line_number(&text, at.start));
                 assert!(message.starts_with(&expected), "{preset}: {field} = {spoil}\n{message}\n{expected}");
                 if message.contains("must be between") {
                     assert!(message.ends_with(&format!(", found {spoil}")), "as it is written: {message}");

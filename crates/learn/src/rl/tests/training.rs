@@ -55,6 +55,50 @@ fn a_resumed_training_equals_one_that_was_never_interrupted() {
     }
 }
 
+/// Imitation fits the expert's answers, is followed by reinforcement learning, and survives an interruption.
+#[test]
+fn an_imitation_learns_the_experts_answers() {
+    let imitation = include_str!("imitation.toml").split_once("[imitation]").unwrap().1;
+    let mut config = small_config();
+    config.exploration.learning_starts_episode = 2;
+    let mut imitation: ImitationConfig = toml::from_str(imitation).unwrap();
+    // Its answer is an input of the network, and it avoids collisions in the paper's scenarios.
+    (imitation.expert, imitation.expert_if_unaware) = ("match-leader".to_owned(), None);
+    (imitation.expert_estimator, imitation.passes) = (config.environment.estimator, 40);
+    config.imitation = Some(imitation);
+    let held_out = EvaluationSet::new(&config.evaluation, &config.environment);
+    let run = |threads| {
+        let mut trainer = Trainer::new(&config, 4);
+        let events = Mutex::new(Vec::new());
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| {
+            train(&mut trainer, &held_out, &Listener(|event: &TrainingEvent| events.lock().unwrap().push(*event)))
+        })
+        .unwrap();
+        (trainer, events.into_inner().unwrap())
+    };
+    let (trainer, events) = run(1);
+    let rounds = events.iter().map_while(|event| match event {
+        TrainingEvent::Imitation(round) => Some((round.round, round.rows)),
+        _ => None,
+    });
+    assert_eq!(rounds.collect::<Vec<_>>(), [(1, 3000), (2, 6000)]);
+    let Some(TrainingEvent::Imitation(last)) = events.get(1) else { panic!("{events:?}") };
+    // Actions are shares of half the range of 10.5 m/s²: the root mean square of the difference is 0.2 m/s².
+    assert!(last.loss < 0.0015, "{last:?}");
+    let first = events.iter().find_map(|event| match event {
+        TrainingEvent::Evaluation { result, .. } => Some(result.safe_share),
+        _ => None,
+    });
+    assert_eq!(first, Some(1.0), "the imitation is safe before reinforcement learning");
+    let (other, _) = run(3);
+    assert!(other.to_checkpoint().unwrap() == trainer.to_checkpoint().unwrap(), "on three threads");
+    let stopped = Trainer::new(&config, 4).to_checkpoint().unwrap();
+    let mut resumed = Trainer::from_checkpoint(&stopped, &config, 4, Arc::new(PaperSource)).unwrap();
+    train(&mut resumed, &held_out, &Quiet).unwrap();
+    assert!(resumed.policy().unwrap() == trainer.policy().unwrap());
+}
+
 #[test]
 fn checkpoints_of_another_training_are_refused() {
     let config = small_config();

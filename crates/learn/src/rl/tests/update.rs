@@ -143,6 +143,7 @@ fn the_optimum_of_a_two_state_problem_is_found() {
                     reward,
                     continues: true,
                     contact: false,
+                    expert_action: None,
                 });
             }
             learner.update(&batch, &mut noise);

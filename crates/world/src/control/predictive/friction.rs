@@ -51,6 +51,11 @@ impl Friction {
         self.commands_mps2 = [self.commands_mps2[1], command_mps2];
     }
 
+    /// Replaces the command of this step by the one that was executed.
+    pub(super) fn replace_last(&mut self, command_mps2: f64) {
+        self.commands_mps2[1] = command_mps2;
+    }
+
     /// Returns the largest deceleration that the road allows, in m/s². A shortfall beyond the noise lowers it to the
     /// deceleration achieved; a harder deceleration raises it again.
     pub(super) fn usable_brake_mps2(&mut self, seen: &Observation) -> f64 {

@@ -127,6 +127,10 @@ impl Controller for Predictive {
         state.friction.record(answer_mps2);
         Ok(answer_mps2)
     }
+
+    fn record_command(&mut self, command_mps2: f64) {
+        self.0.friction.replace_last(command_mps2);
+    }
 }
 
 /// Predictions for one decision.

@@ -34,6 +34,7 @@ pub(super) fn batch(seed: u64, count: usize, privileged: usize) -> Batch {
             reward: stream.random_range(-2.0..1.0),
             continues: stream.random_bool(0.8),
             contact: false,
+            expert_action: None,
         });
     }
     batch

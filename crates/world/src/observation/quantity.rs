@@ -1,9 +1,11 @@
-//! Quantities of an observation that an external controller can receive.
+//! Quantities of an observation that a network or an external controller can receive.
 
 use serde::{Deserialize, Serialize};
 
-use crate::observation::{Neighbour, Observation};
-use crate::policy::ObservationScaling;
+use super::{EMPTY_GAP_M, Neighbour, Observation};
+
+/// Largest time to collision, in seconds; it stands for a gap that does not close.
+const MAX_TTC_S: f64 = 100.0;
 
 /// A quantity of an observation, in the unit that its name ends with.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -25,6 +27,8 @@ pub enum ObservedQuantity {
     AccelerationAheadMps2,
     /// Gap to the leader divided by the own speed, or by 0.01 m/s at standstill.
     TimeGapAheadS,
+    /// Gap to the leader divided by the speed at which it closes, at most 100 s; 100 s if it does not close.
+    TimeToCollisionAheadS,
     /// 1 if there is a leader, else 0.
     IsAhead,
     /// Gap to the follower.
@@ -37,6 +41,8 @@ pub enum ObservedQuantity {
     AccelerationBehindMps2,
     /// Gap to the follower divided by its speed, or by 0.01 m/s at standstill.
     TimeGapBehindS,
+    /// Gap to the follower divided by the speed at which it closes, at most 100 s; 100 s if it does not close.
+    TimeToCollisionBehindS,
     /// 1 if there is a follower, else 0.
     IsBehind,
     /// Last answer of the controller; 0 before its first answer.
@@ -44,7 +50,7 @@ pub enum ObservedQuantity {
 }
 
 impl ObservedQuantity {
-    const ALL: [Self; 15] = [
+    const ALL: [Self; 17] = [
         Self::SpeedMps,
         Self::AccelerationMps2,
         Self::GapAheadM,
@@ -52,18 +58,20 @@ impl ObservedQuantity {
         Self::RelativeSpeedAheadMps,
         Self::AccelerationAheadMps2,
         Self::TimeGapAheadS,
+        Self::TimeToCollisionAheadS,
         Self::IsAhead,
         Self::GapBehindM,
         Self::SpeedBehindMps,
         Self::RelativeSpeedBehindMps,
         Self::AccelerationBehindMps2,
         Self::TimeGapBehindS,
+        Self::TimeToCollisionBehindS,
         Self::IsBehind,
         Self::LastAnswerMps2,
     ];
 
     #[cfg(feature = "process")]
-    pub(in crate::control) fn names() -> impl Iterator<Item = &'static str> {
+    pub(crate) fn names() -> impl Iterator<Item = &'static str> {
         Self::ALL.into_iter().map(Self::name)
     }
 
@@ -74,7 +82,7 @@ impl ObservedQuantity {
     }
 
     /// Returns the usual range in car following.
-    pub(super) fn typical_range(self) -> [f64; 2] {
+    pub(crate) fn typical_range(self) -> [f64; 2] {
         use ObservedQuantity as Q;
         match self {
             Q::SpeedMps | Q::SpeedAheadMps | Q::SpeedBehindMps => [5.0, 25.0],
@@ -84,6 +92,7 @@ impl ObservedQuantity {
                 [-3.0, 2.0]
             }
             Q::TimeGapAheadS | Q::TimeGapBehindS => [0.8, 2.5],
+            Q::TimeToCollisionAheadS | Q::TimeToCollisionBehindS => [1.0, MAX_TTC_S],
             Q::IsAhead | Q::IsBehind => [0.0, 1.0],
         }
     }
@@ -100,28 +109,33 @@ impl ObservedQuantity {
             Q::RelativeSpeedAheadMps => "relative_speed_ahead_mps",
             Q::AccelerationAheadMps2 => "acceleration_ahead_mps2",
             Q::TimeGapAheadS => "time_gap_ahead_s",
+            Q::TimeToCollisionAheadS => "time_to_collision_ahead_s",
             Q::IsAhead => "is_ahead",
             Q::GapBehindM => "gap_behind_m",
             Q::SpeedBehindMps => "speed_behind_mps",
             Q::RelativeSpeedBehindMps => "relative_speed_behind_mps",
             Q::AccelerationBehindMps2 => "acceleration_behind_mps2",
             Q::TimeGapBehindS => "time_gap_behind_s",
+            Q::TimeToCollisionBehindS => "time_to_collision_behind_s",
             Q::IsBehind => "is_behind",
             Q::LastAnswerMps2 => "last_answer_mps2",
         }
     }
 
     /// True if the quantity belongs to a neighbour, which may be absent.
-    pub(super) fn is_of_neighbour(self) -> bool {
+    pub(crate) fn is_of_neighbour(self) -> bool {
         use ObservedQuantity as Q;
         !matches!(self, Q::SpeedMps | Q::AccelerationMps2 | Q::LastAnswerMps2 | Q::IsAhead | Q::IsBehind)
     }
 
     #[inline]
-    pub(super) fn value(self, seen: &Observation, last_answer_mps2: f64, absent: Option<f64>) -> f64 {
+    pub(crate) fn value(self, seen: &Observation, last_answer_mps2: f64, absent: Option<f64>) -> f64 {
         use ObservedQuantity as Q;
         fn time_gap_s(gap_m: f64, speed_mps: f64) -> f64 {
             gap_m / if speed_mps > 0.01 { speed_mps } else { 0.01 }
+        }
+        fn ttc_s(gap_m: f64, closing_mps: f64) -> f64 {
+            if closing_mps > 0.0 { (gap_m / closing_mps).min(MAX_TTC_S) } else { MAX_TTC_S }
         }
         let own_mps = seen.speed_mps;
         let neighbour = match self {
@@ -134,21 +148,19 @@ impl ObservedQuantity {
             | Q::SpeedAheadMps
             | Q::RelativeSpeedAheadMps
             | Q::AccelerationAheadMps2
-            | Q::TimeGapAheadS => seen.ahead,
+            | Q::TimeGapAheadS
+            | Q::TimeToCollisionAheadS => seen.ahead,
             Q::GapBehindM
             | Q::SpeedBehindMps
             | Q::RelativeSpeedBehindMps
             | Q::AccelerationBehindMps2
-            | Q::TimeGapBehindS => seen.behind,
+            | Q::TimeGapBehindS
+            | Q::TimeToCollisionBehindS => seen.behind,
         };
         let there = match (neighbour, absent) {
             (Some(there), _) => there,
             (None, Some(absent)) => return absent,
-            (None, None) => Neighbour {
-                gap_m: ObservationScaling::default().empty_gap_m,
-                speed_mps: own_mps,
-                acceleration_mps2: 0.0,
-            },
+            (None, None) => Neighbour { gap_m: EMPTY_GAP_M, speed_mps: own_mps, acceleration_mps2: 0.0 },
         };
         match self {
             Q::SpeedAheadMps | Q::SpeedBehindMps => there.speed_mps,
@@ -156,6 +168,8 @@ impl ObservedQuantity {
             Q::AccelerationAheadMps2 | Q::AccelerationBehindMps2 => there.acceleration_mps2,
             Q::TimeGapAheadS => time_gap_s(there.gap_m, own_mps),
             Q::TimeGapBehindS => time_gap_s(there.gap_m, there.speed_mps),
+            Q::TimeToCollisionAheadS => ttc_s(there.gap_m, own_mps - there.speed_mps),
+            Q::TimeToCollisionBehindS => ttc_s(there.gap_m, there.speed_mps - own_mps),
             _ => there.gap_m,
         }
     }

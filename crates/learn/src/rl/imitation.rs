@@ -1,0 +1,296 @@
+//! Imitation of a controller before reinforcement learning: DAgger (Ross, Gordon and Bagnell, 2011).
+//!
+//! In the first round the expert drives, in each later one the policy. In all rounds the expert's answer to the present
+//! situation is recorded at every decision, and the actor is fitted to all rows so far. Situations therefore become
+//! those that the policy itself causes.
+
+use rand::seq::SliceRandom;
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::adam::Adam;
+use super::config_error::{TrainingConfigError, check_range};
+use super::environment::{EpisodeConstants, EpisodeEnding, TrainingEpisode};
+use super::privileged::has_unaware_follower;
+use super::serde_helpers::{deserialize_f32_no_underflow, is_default};
+use super::trainer::{Trainer, TrainingError};
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::policy::{FrameStack, Policy, Workspace};
+use crumple_world::random::{self, Purpose};
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::{Run, RunOptions};
+
+/// Imitation of a controller (DAgger), and its trace in reinforcement learning.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+#[non_exhaustive]
+pub struct ImitationConfig {
+    /// Built-in controller that is imitated, with settings as on the command line.
+    pub expert: String,
+    /// Expert where the follower has nothing but an emergency brake (`baseline`), if it is another one. The policy does
+    /// not observe what drives the follower, and learns the mean of both.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub expert_if_unaware: Option<String>,
+    /// Estimator of the expert. With `truth` it knows more than the policy, which learns the mean of its answers.
+    pub expert_estimator: EstimatorKind,
+    /// Rounds of driving and fitting.
+    pub rounds: u32,
+    /// Decisions that each round adds.
+    pub rows: u64,
+    /// Passes of each fit over all rows.
+    pub passes: u32,
+    /// Rows per step of the optimiser.
+    pub batch: usize,
+    /// Learning rate (Adam) at the start of a fit; it decreases linearly to 0.
+    #[serde(deserialize_with = "deserialize_f32_no_underflow")]
+    pub rate: f32,
+    /// Loss of a difference between the policy's action and the expert's.
+    pub loss: ImitationLoss,
+    /// Weight of the squared difference between the changes of both actions up to the next decision, relative to the
+    /// loss. Keeps noise of the observations out of the actions; 0 for none.
+    #[serde(default, skip_serializing_if = "is_default", deserialize_with = "deserialize_f32_no_underflow")]
+    pub change_weight: f32,
+    /// Weight of the mean squared difference in the actor's loss in the first episode of reinforcement learning
+    /// (Fujimoto and Gu, 2021, with a factor that decays).
+    #[serde(deserialize_with = "deserialize_f32_no_underflow")]
+    pub weight: f32,
+    /// Factor on that weight after each episode.
+    pub weight_decay: f64,
+}
+
+/// Loss of a difference between two actions.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+#[non_exhaustive]
+pub enum ImitationLoss {
+    /// Squared difference; fits the mean of the answers.
+    Squared,
+    /// Absolute difference; fits their median.
+    Absolute,
+}
+
+/// Result of a round.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct ImitationRound {
+    /// Number of the round, from 1.
+    pub round: u32,
+    /// Number of rounds.
+    pub rounds: u32,
+    /// Rows so far.
+    pub rows: u64,
+    /// Share of the round's episodes that ended in a collision.
+    pub contact_share: f64,
+    /// Mean loss in the last pass.
+    pub loss: f64,
+}
+
+/// Episodes that are simulated at once. Fixed, so that the number of threads has no influence.
+const EPISODES_AT_ONCE: u64 = 64;
+/// Separates the scenarios of imitation from those of reinforcement learning.
+const SEED_INDEX: u64 = u64::MAX - 4;
+
+/// Observations and the expert's actions, row after row.
+#[derive(Debug, Clone, Default, PartialEq)]
+struct Rows {
+    states: Vec<f32>,
+    actions: Vec<f32>,
+    /// Factor on the loss of each row.
+    weights: Vec<f32>,
+    /// True for the last decision of an episode.
+    is_last: Vec<bool>,
+    contacts: u64,
+    episodes: u64,
+}
+
+/// Rows of one step of the optimiser.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub(super) struct ImitationBatch {
+    /// Observations; then those of the next decisions, if changes count.
+    pub(super) states: Vec<f32>,
+    /// Actions of the expert.
+    pub(super) actions: Vec<f32>,
+    /// Its actions at the next decisions, if changes count.
+    pub(super) next_actions: Vec<f32>,
+    /// Factors on the loss.
+    pub(super) weights: Vec<f32>,
+}
+
+impl ImitationBatch {
+    fn clear(&mut self) {
+        for array in [&mut self.states, &mut self.actions, &mut self.next_actions, &mut self.weights] {
+            array.clear();
+        }
+    }
+}
+
+impl ImitationConfig {
+    /// Returns the expert in a scenario.
+    ///
+    /// # Errors
+    /// [`TrainingConfigError::Field`] if it is no built-in controller.
+    pub fn expert_in(&self, scenario: &Scenario) -> Result<ControllerSpec, TrainingConfigError> {
+        match &self.expert_if_unaware {
+            Some(expert) if has_unaware_follower(scenario) => find_expert("expert_if_unaware", expert),
+            _ => find_expert("expert", &self.expert),
+        }
+    }
+
+    pub(super) fn check(&self) -> Result<(), TrainingConfigError> {
+        find_expert("expert", &self.expert)?;
+        if let Some(expert) = &self.expert_if_unaware {
+            find_expert("expert_if_unaware", expert)?;
+        }
+        for (field, value, range) in [
+            ("rounds", f64::from(self.rounds), [1.0, 1000.0]),
+            ("rows", self.rows as f64, [1.0, 1e8]),
+            ("passes", f64::from(self.passes), [1.0, 1000.0]),
+            ("batch", self.batch as f64, [1.0, 65_536.0]),
+            ("rate", f64::from(self.rate), [0.0, 1.0]),
+            ("change_weight", f64::from(self.change_weight), [0.0, 1e6]),
+            ("weight", f64::from(self.weight), [0.0, 1e6]),
+            ("weight_decay", self.weight_decay, [0.0, 1.0]),
+        ] {
+            check_range(&format!("imitation.{field}"), value, range)?;
+        }
+        Ok(())
+    }
+}
+
+fn find_expert(field: &str, text: &str) -> Result<ControllerSpec, TrainingConfigError> {
+    let problem = |problem: String| TrainingConfigError::field(format!("imitation.{field}"), problem);
+    match ControllerSpec::parse(text) {
+        Some(Ok(expert)) => Ok(expert),
+        Some(Err(error)) => Err(problem(error.to_string())),
+        None => Err(problem(format!("`{text}` is no built-in controller: see `crumple list`"))),
+    }
+}
+
+impl Trainer {
+    /// Fits the actor to the expert, if there is one, and calls `done` after each round.
+    ///
+    /// # Errors
+    /// [`TrainingError`] if a scenario cannot be run; the error of `done`.
+    pub(super) fn imitate<E: From<TrainingError>>(
+        &mut self,
+        mut done: impl FnMut(&ImitationRound) -> Result<(), E>,
+    ) -> Result<(), E> {
+        let Some(imitation) = self.config.imitation.clone() else { return Ok(()) };
+        let mut rows = Rows::default();
+        for round in 0..imitation.rounds {
+            let before = (rows.contacts, rows.episodes);
+            let wanted = imitation.rows.saturating_mul(u64::from(round) + 1);
+            let driver = if round == 0 { None } else { Some(self.present_policy()?) };
+            self.collect(&imitation, driver.as_ref(), wanted, &mut rows)?;
+            let loss = self.fit(&imitation, &rows, round);
+            let (contacts, episodes) = (rows.contacts - before.0, rows.episodes - before.1);
+            done(&ImitationRound {
+                round: round + 1,
+                rounds: imitation.rounds,
+                rows: rows.actions.len() as u64,
+                contact_share: contacts as f64 / episodes.max(1) as f64,
+                loss,
+            })?;
+        }
+        let actor = &mut self.learner.actor;
+        actor.target = actor.network.clone();
+        Ok(())
+    }
+
+    /// Adds rows until there are `wanted`. Without a `driver` the expert drives.
+    fn collect(
+        &self,
+        imitation: &ImitationConfig,
+        driver: Option<&Policy>,
+        wanted: u64,
+        rows: &mut Rows,
+    ) -> Result<(), TrainingError> {
+        let constants = EpisodeConstants::new(self.config.environment.clone(), self.config.learning.discount);
+        let seed = random::derived_seed(self.seed, SEED_INDEX);
+        while (rows.actions.len() as u64) < wanted {
+            let episodes = rows.episodes..rows.episodes + EPISODES_AT_ONCE;
+            let driven = episodes.into_par_iter().map(|index| {
+                let scenario = self.draw(seed, index)?;
+                let options =
+                    RunOptions::new(imitation.expert_in(&scenario)?).with_estimator(self.config.environment.estimator);
+                let run = Run::new(&scenario, options)?;
+                let episode = TrainingEpisode::new(&run, &constants).with_expert(imitation.expert_estimator);
+                let weight = self.source.cost_multiplier(seed, index) as f32;
+                let mut rows = drive(episode, driver);
+                rows.weights.resize(rows.actions.len(), weight);
+                Ok(rows)
+            });
+            for of_episode in driven.collect::<Result<Vec<_>, TrainingError>>()? {
+                rows.states.extend(of_episode.states);
+                rows.actions.extend(of_episode.actions);
+                rows.weights.extend(of_episode.weights);
+                rows.is_last.extend(of_episode.is_last);
+                rows.contacts += of_episode.contacts;
+            }
+            rows.episodes += EPISODES_AT_ONCE;
+        }
+        rows.actions.truncate(wanted as usize);
+        rows.weights.truncate(wanted as usize);
+        rows.is_last.truncate(wanted as usize);
+        if let Some(last) = rows.is_last.last_mut() {
+            *last = true;
+        }
+        rows.states.truncate(wanted as usize * self.config.environment.observation.width());
+        Ok(())
+    }
+
+    /// Fits the actor to all rows; returns the mean loss in the last pass.
+    fn fit(&mut self, imitation: &ImitationConfig, rows: &Rows, round: u32) -> f64 {
+        let width = self.config.environment.observation.width();
+        let mut order: Vec<usize> = (0..rows.actions.len()).collect();
+        let mut stream = random::stream(self.seed, Purpose::Imitation, u64::from(round));
+        let mut adam = Adam::new(self.learner.actor.network.parameters().len());
+        let steps = (order.len().div_ceil(imitation.batch) * imitation.passes as usize) as f32;
+        let mut sample = ImitationBatch::default();
+        let mut last_loss = 0.0;
+        for _ in 0..imitation.passes {
+            order.shuffle(&mut stream);
+            last_loss = 0.0;
+            for batch in order.chunks(imitation.batch) {
+                sample.clear();
+                for &row in batch {
+                    sample.states.extend_from_slice(&rows.states[row * width..(row + 1) * width]);
+                    sample.actions.push(rows.actions[row]);
+                    sample.weights.push(rows.weights[row]);
+                }
+                let next = |row: usize| if rows.is_last[row] { row } else { row + 1 };
+                for row in batch.iter().map(|&row| next(row)).filter(|_| imitation.change_weight > 0.0) {
+                    sample.states.extend_from_slice(&rows.states[row * width..(row + 1) * width]);
+                    sample.next_actions.push(rows.actions[row]);
+                }
+                let rate = imitation.rate * (1.0 - adam.steps as f32 / steps);
+                last_loss += self.learner.imitate(&sample, imitation, &mut adam, rate);
+            }
+        }
+        last_loss / order.len().max(1) as f64
+    }
+}
+
+/// Drives an episode and records the expert's actions.
+fn drive(mut episode: TrainingEpisode, driver: Option<&Policy>) -> Rows {
+    let (mut past, mut space, mut rows) = (FrameStack::default(), Workspace::default(), Rows::default());
+    loop {
+        let state = episode.observe(&mut past);
+        rows.states.extend_from_slice(state);
+        let outcome = match driver {
+            Some(policy) => {
+                let action = policy.choose(state, &mut space);
+                episode.step(action)
+            }
+            None => episode.step_by_expert(),
+        };
+        rows.actions.push(outcome.expert_action.unwrap_or_default());
+        rows.is_last.push(outcome.ending != EpisodeEnding::None);
+        if outcome.ending != EpisodeEnding::None {
+            rows.contacts = u64::from(outcome.ending == EpisodeEnding::Contact);
+            return rows;
+        }
+    }
+}
