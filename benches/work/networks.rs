@@ -45,6 +45,7 @@ pub fn batch(count: usize) -> Batch {
             reward,
             continues: true,
             contact: false,
+            expert_action: None,
         });
     }
     batch

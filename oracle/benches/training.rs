@@ -87,7 +87,7 @@ fn act_on_one_state(bencher: Bencher<'_, '_>, width: usize) {
     let (policy, seen, mut space) = (random_policy(width), observations(1), Workspace::default());
     let mut past = FrameStack::default();
     let bencher = bencher.counter(ItemsCount::new(acting_operations(width)));
-    bencher.bench_local(|| policy.choose(policy.observe(&seen[0], &mut past), &mut space));
+    bencher.bench_local(|| policy.choose(policy.observe(&seen[0], 0.0, &mut past), &mut space));
 }
 
 #[divan::bench(args = [64, 256])]
@@ -97,7 +97,7 @@ fn act_on_512_states(bencher: Bencher<'_, '_>, width: usize) {
     let counter = ItemsCount::new(seen.len() * acting_operations(width));
     bencher.counter(counter).bench_local(|| {
         let rows: Vec<f32> =
-            seen.iter().flat_map(|seen| policy.observe(seen, &mut FrameStack::default()).to_vec()).collect();
+            seen.iter().flat_map(|seen| policy.observe(seen, 0.0, &mut FrameStack::default()).to_vec()).collect();
         policy.choose_batch(&rows, &mut space, &mut actions);
     });
 }

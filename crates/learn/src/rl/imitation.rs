@@ -112,7 +112,7 @@ pub(super) struct ImitationBatch {
     pub(super) states: Vec<f32>,
     /// Actions of the expert.
     pub(super) actions: Vec<f32>,
-    /// Its actions at the next decisions, if changes count.
+    /// Actions of the expert at the next decisions, if changes count.
     pub(super) next_actions: Vec<f32>,
     /// Factors on the loss.
     pub(super) weights: Vec<f32>,
