@@ -207,6 +207,15 @@ mod tests {
         }
     }
 
+    #[test]
+    fn further_inputs_are_refused() {
+        let mut further = header_json();
+        further["observation"]["extra"] =
+            serde_json::json!([{ "quantity": "last_answer_mps2", "offset": 0, "scale": 5 }]);
+        let refused = serde_json::from_value::<PolicyFileHeader>(further).unwrap().check();
+        assert!(refused.unwrap_err().contains("only a network with the paper's eight inputs"));
+    }
+
     fn check_modified(change: impl FnOnce(&mut PolicyFileHeader)) -> Result<(), String> {
         let mut header = header();
         change(&mut header);

@@ -100,7 +100,6 @@ pub struct TrainingEpisode {
     min_rest_steps: usize,
     steps_at_rest: usize,
     undiscounted_return: f64,
-    has_expert: bool,
 }
 
 impl TrainingEpisode {
@@ -117,7 +116,6 @@ impl TrainingEpisode {
             min_rest_steps: (MIN_REST_S / run.scenario().spec().step_s).round() as usize,
             steps_at_rest: 0,
             undiscounted_return: 0.0,
-            has_expert: false,
         }
     }
 
@@ -125,7 +123,6 @@ impl TrainingEpisode {
     #[must_use]
     pub fn with_expert(mut self, estimator: EstimatorKind) -> Self {
         self.stepper.consult(EGO, estimator);
-        self.has_expert = true;
         self
     }
 
@@ -188,7 +185,7 @@ impl TrainingEpisode {
             };
             if ending == EpisodeEnding::None { ControlFlow::Continue(()) } else { ControlFlow::Break(()) }
         };
-        if self.has_expert {
+        if stepper.consulted_mps2(EGO).is_some() {
             for _ in 0..config.action_repeat {
                 let Some(seen) = stepper.observe(EGO) else { break };
                 if is_commanded {

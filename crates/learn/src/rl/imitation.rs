@@ -169,7 +169,7 @@ fn find_expert(field: &str, text: &str) -> Result<ControllerSpec, TrainingConfig
 }
 
 impl Trainer {
-    /// Fits the actor to the expert, if there is one, and calls `done` after each round.
+    /// Fits the actor to the expert, if there is one and the actor is new, and calls `done` after each round.
     ///
     /// # Errors
     /// [`TrainingError`] if a scenario cannot be run; the error of `done`.
@@ -177,12 +177,15 @@ impl Trainer {
         &mut self,
         mut done: impl FnMut(&ImitationRound) -> Result<(), E>,
     ) -> Result<(), E> {
-        let Some(imitation) = self.config.imitation.clone() else { return Ok(()) };
+        let Some(imitation) = self.config.imitation.clone().filter(|_| !self.has_initial_policy) else {
+            return Ok(());
+        };
         let mut rows = Rows::default();
         for round in 0..imitation.rounds {
             let before = (rows.contacts, rows.episodes);
             let wanted = imitation.rows.saturating_mul(u64::from(round) + 1);
-            let driver = if round == 0 { None } else { Some(self.present_policy()?) };
+            let driver =
+                if round == 0 { None } else { Some(self.build_policy(self.learner.actor.network.clone(), 0)?) };
             self.collect(&imitation, driver.as_ref(), wanted, &mut rows)?;
             let loss = self.fit(&imitation, &rows, round);
             let (contacts, episodes) = (rows.contacts - before.0, rows.episodes - before.1);
@@ -260,10 +263,11 @@ impl Trainer {
                     sample.actions.push(rows.actions[row]);
                     sample.weights.push(rows.weights[row]);
                 }
-                let next = |row: usize| if rows.is_last[row] { row } else { row + 1 };
-                for row in batch.iter().map(|&row| next(row)).filter(|_| imitation.change_weight > 0.0) {
-                    sample.states.extend_from_slice(&rows.states[row * width..(row + 1) * width]);
-                    sample.next_actions.push(rows.actions[row]);
+                if imitation.change_weight > 0.0 {
+                    for next in batch.iter().map(|&row| row + usize::from(!rows.is_last[row])) {
+                        sample.states.extend_from_slice(&rows.states[next * width..(next + 1) * width]);
+                        sample.next_actions.push(rows.actions[next]);
+                    }
                 }
                 let rate = imitation.rate * (1.0 - adam.steps as f32 / steps);
                 last_loss += self.learner.imitate(&sample, imitation, &mut adam, rate);

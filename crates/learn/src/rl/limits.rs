@@ -139,7 +139,8 @@ impl TrainingConfig {
             (
                 "imitation.rows",
                 float_bytes(self.imitation.as_ref().map_or(0, |imitation| {
-                    let row = self.environment.observation.width() as u64 + 3;
+                    // Observation, action, weight, end of the episode, and place in the order of a pass.
+                    let row = self.environment.observation.width() as u64 + 5;
                     imitation.rows.saturating_mul(u64::from(imitation.rounds)).saturating_mul(row)
                 })),
             ),

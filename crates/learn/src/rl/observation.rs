@@ -144,13 +144,11 @@ impl ObservationConfig {
     /// Yields the path, value and range of every number.
     pub(super) fn ranges(&self) -> impl Iterator<Item = (String, f64, [f64; 2])> {
         let inputs = self.inputs.to_array().into_iter().filter_map(|(name, input)| Some((name, input?)));
-        let inputs = inputs.flat_map(|(name, input)| {
-            let of = |field| format!("inputs.{name}.{field}");
-            [(of("offset"), input.offset, [-1e4, 1e4]), (of("scale"), input.scale, [1e-3, 1e4])]
-        });
-        let extra = self.extra.iter().enumerate().flat_map(|(index, input)| {
-            let of = |field| format!("extra[{index}].{field}");
-            [(of("offset"), input.offset, [-1e4, 1e4]), (of("scale"), input.scale, [1e-3, 1e4])]
+        let inputs = inputs.map(|(name, input)| (format!("inputs.{name}"), input.offset, input.scale));
+        let extra = self.extra.iter().enumerate();
+        let extra = extra.map(|(index, input)| (format!("extra[{index}]"), input.offset, input.scale));
+        let scaled = inputs.chain(extra).flat_map(|(input, offset, scale)| {
+            [(format!("{input}.offset"), offset, [-1e4, 1e4]), (format!("{input}.scale"), scale, [1e-3, 1e4])]
         });
         let whole = [
             ("limit".to_owned(), self.limit, [0.1, 1000.0]),
@@ -158,7 +156,7 @@ impl ObservationConfig {
             ("history".to_owned(), f64::from(self.history), [1.0, MAX_HISTORY as f64]),
             ("history_every".to_owned(), f64::from(self.history_every), [1.0, MAX_HISTORY as f64]),
         ];
-        let all = whole.into_iter().chain(inputs).chain(extra);
+        let all = whole.into_iter().chain(scaled);
         all.map(|(name, value, range)| (format!("environment.observation.{name}"), value, range))
     }
 

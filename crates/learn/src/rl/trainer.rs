@@ -133,6 +133,8 @@ pub struct Trainer {
     pub(super) decisions: u64,
     pub(super) best: Option<BestPolicy>,
     pub(super) mastered: bool,
+    /// True if the actor started from a policy: it does not imitate first.
+    pub(super) has_initial_policy: bool,
     /// Mean of the actor's weights over updates; none if it is not used, and before the first update.
     pub(super) weight_average: Option<Network>,
     pub(super) source: Arc<dyn ScenarioSource>,
@@ -158,19 +160,22 @@ impl Trainer {
             decisions: 0,
             best: None,
             mastered: false,
+            has_initial_policy: false,
             weight_average: None,
             source,
             batch: Batch::default(),
         }
     }
 
-    /// Starts the actor and its target from the weights of `policy`, if it has the same shape. Critics start anew.
+    /// Starts the actor and its target from the weights of `policy`, if it has the same shape. Critics start anew. The
+    /// actor then does not imitate an expert first; the imitation term of reinforcement learning remains.
     #[must_use]
     pub fn with_initial_policy(mut self, policy: &Policy) -> Self {
         let actor = &mut self.learner.actor;
         if actor.network.sizes() == policy.network().sizes() {
             actor.network = policy.network().clone();
             actor.target = policy.network().clone();
+            self.has_initial_policy = true;
         }
         self
     }
@@ -333,11 +338,6 @@ impl Trainer {
         }
     }
 
-    /// Returns the policy of the actor as it is.
-    pub(super) fn present_policy(&self) -> Result<Policy, TrainingError> {
-        self.build_policy(self.learner.actor.network.clone(), self.episode)
-    }
-
     fn check_divergence(&self, record: &EpisodeRecord, steps: usize) -> Result<(), TrainingError> {
         let environment = &self.config.environment;
         let each = environment.step_reward * f64::from(environment.action_repeat);
@@ -406,7 +406,7 @@ impl Trainer {
         }
     }
 
-    fn build_policy(&self, network: Network, episode: u64) -> Result<Policy, TrainingError> {
+    pub(super) fn build_policy(&self, network: Network, episode: u64) -> Result<Policy, TrainingError> {
         let mut training = serde_json::to_value(&self.config).map_err(|e| TrainingError::Checkpoint(e.to_string()))?;
         if let (Some(training), Some(source)) = (training.as_object_mut(), self.source.identity()?) {
             training.insert("scenarios".to_owned(), source.into());

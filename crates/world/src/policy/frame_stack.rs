@@ -1,8 +1,6 @@
 //! History of a policy's inputs.
 
 use super::ObservationScaling;
-#[cfg(test)]
-use super::STATE_LEN;
 use crate::observation::Observation;
 
 /// Inputs of the last decisions, oldest first; empty before the first.
@@ -42,7 +40,7 @@ impl FrameStack {
 mod tests {
     use super::*;
     use crate::observation::ObservedQuantity;
-    use crate::policy::ExtraInput;
+    use crate::policy::{ExtraInput, STATE_LEN};
 
     /// Returns the last answer of each remembered decision after each of 20 decisions, whose answers are 1, 2, ...
     fn remembered(history: usize, history_every: usize) -> Vec<Vec<f32>> {

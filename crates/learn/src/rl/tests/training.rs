@@ -97,6 +97,11 @@ fn an_imitation_learns_the_experts_answers() {
     let mut resumed = Trainer::from_checkpoint(&stopped, &config, 4, Arc::new(PaperSource)).unwrap();
     train(&mut resumed, &held_out, &Quiet).unwrap();
     assert!(resumed.policy().unwrap() == trainer.policy().unwrap());
+    // A retraining keeps the weights that it starts from.
+    let policy = trainer.policy().unwrap();
+    let mut retrained = Trainer::new(&config, 5).with_initial_policy(&policy);
+    retrained.imitate(|round| -> Result<(), TrainingError> { panic!("{round:?}") }).unwrap();
+    assert!(retrained.policy().unwrap().network() == policy.network());
 }
 
 #[test]
