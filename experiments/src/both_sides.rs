@@ -76,6 +76,8 @@ struct SpaceComparisonArgs {
     figures: Vec<String>,
     measured_before: Vec<ParetoPoint>,
     spaces: Vec<&'static str>,
+    seed: u64,
+    estimator: EstimatorKind,
 }
 
 impl SpaceComparisonArgs {
@@ -87,8 +89,13 @@ impl SpaceComparisonArgs {
         };
         let (mut controllers, mut figures, mut spaces) = (Vec::new(), Vec::new(), Vec::new());
         let mut measured_before = Vec::new();
+        let (mut seed, mut estimator) = (SEED, EstimatorKind::Kalman);
         for argument in arguments {
-            if let Some(name) = argument.strip_prefix("space=") {
+            if let Some(number) = argument.strip_prefix("seed=") {
+                seed = number.parse().map_err(|_| format!("`{number}` is no seed"))?;
+            } else if argument == "estimator=truth" {
+                estimator = EstimatorKind::Truth;
+            } else if let Some(name) = argument.strip_prefix("space=") {
                 let known = BUILT_IN_SPACES.iter().find(|(known, ..)| *known == name);
                 spaces.push(known.ok_or_else(|| format!("there is no built-in space `{name}`"))?.0);
             } else if argument.ends_with(".svg") {
@@ -113,12 +120,12 @@ impl SpaceComparisonArgs {
         {
             return Err(format!("a figure needs the space `{missing}`").into());
         }
-        Ok(Self { draws, controllers, figures, measured_before, spaces })
+        Ok(Self { draws, controllers, figures, measured_before, spaces, seed, estimator })
     }
 }
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
-    let SpaceComparisonArgs { draws, controllers, figures, measured_before, spaces } =
+    let SpaceComparisonArgs { draws, controllers, figures, measured_before, spaces, seed, estimator } =
         SpaceComparisonArgs::parse(arguments.iter().cloned())?;
     println!(
         "| space | controller | contacts | into the leader | hard | needless | beyond 2 | harder | left behind | rms \
@@ -135,7 +142,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     for space in spaces {
         for (controller, mark) in controllers.iter().zip(&mut front) {
             let name = &controller.name;
-            let sums = simulate_draws(space, controller, draws)?;
+            let sums = simulate_draws(space, controller, draws, seed, estimator)?;
             let n = draws as f64;
             let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len().max(1) as f64;
             let rms_jerk_mps3 = (sums.squares[1] / n).sqrt();
@@ -207,13 +214,19 @@ struct FirmBraking {
     is_present: bool,
 }
 
-fn simulate_draws(space: &str, controller: &NamedController, draws: u64) -> Result<SpaceTotals, ExperimentError> {
+fn simulate_draws(
+    space: &str,
+    controller: &NamedController,
+    draws: u64,
+    seed: u64,
+    estimator: EstimatorKind,
+) -> Result<SpaceTotals, ExperimentError> {
     let space = built_in_space(space).ok_or("no such space")?;
-    let options = RunOptions::new(controller.kind.clone()).with_estimator(EstimatorKind::Kalman);
+    let options = RunOptions::new(controller.kind.clone()).with_estimator(estimator);
     let mut sums = SpaceTotals::default();
     for from in (0..draws).step_by(BLOCK as usize) {
         let scenarios =
-            (from..draws.min(from + BLOCK)).map(|index| space.draw(SEED, index)).collect::<Result<Vec<_>, _>>()?;
+            (from..draws.min(from + BLOCK)).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
         let runs = scenarios.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
         let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
             let useful =

@@ -52,6 +52,10 @@ pub struct ImitationConfig {
     /// loss. Keeps noise of the observations out of the actions; 0 for none.
     #[serde(default, skip_serializing_if = "is_default", deserialize_with = "deserialize_f32_no_underflow")]
     pub change_weight: f32,
+    /// Weight of unnecessary braking in spaces whose `costs_times` is above 1: where the driving policy brakes harder
+    /// than the expert, `costs_times` - 1 is multiplied by 1 + this times the squared difference of the actions.
+    #[serde(default, skip_serializing_if = "is_default", deserialize_with = "deserialize_f32_no_underflow")]
+    pub overbraking_weight: f32,
     /// Weight of the mean squared difference in the actor's loss in the first episode of reinforcement learning
     /// (Fujimoto and Gu, 2021, with a factor that decays).
     #[serde(deserialize_with = "deserialize_f32_no_underflow")]
@@ -150,6 +154,7 @@ impl ImitationConfig {
             ("batch", self.batch as f64, [1.0, 65_536.0]),
             ("rate", f64::from(self.rate), [0.0, 1.0]),
             ("change_weight", f64::from(self.change_weight), [0.0, 1e6]),
+            ("overbraking_weight", f64::from(self.overbraking_weight), [0.0, 1e6]),
             ("weight", f64::from(self.weight), [0.0, 1e6]),
             ("weight_decay", self.weight_decay, [0.0, 1.0]),
         ] {
@@ -220,9 +225,10 @@ impl Trainer {
                     RunOptions::new(imitation.expert_in(&scenario)?).with_estimator(self.config.environment.estimator);
                 let run = Run::new(&scenario, options)?;
                 let episode = TrainingEpisode::new(&run, &constants).with_expert(imitation.expert_estimator);
-                let weight = self.source.cost_multiplier(seed, index) as f32;
+                let costs_times = self.source.cost_multiplier(seed, index) as f32;
                 let mut rows = drive(episode, driver);
-                rows.weights.resize(rows.actions.len(), weight);
+                let of_mistakes = imitation.overbraking_weight * (costs_times - 1.0).max(0.0);
+                rows.weights.iter_mut().for_each(|excess| *excess = costs_times + of_mistakes * *excess * *excess);
                 Ok(rows)
             });
             for of_episode in driven.collect::<Result<Vec<_>, TrainingError>>()? {
@@ -277,20 +283,21 @@ impl Trainer {
     }
 }
 
-/// Drives an episode and records the expert's actions.
+/// Drives an episode and records the expert's actions; the weights are the excess of the policy's braking.
 fn drive(mut episode: TrainingEpisode, driver: Option<&Policy>) -> Rows {
     let (mut past, mut space, mut rows) = (FrameStack::default(), Workspace::default(), Rows::default());
     loop {
         let state = episode.observe(&mut past);
         rows.states.extend_from_slice(state);
-        let outcome = match driver {
-            Some(policy) => {
-                let action = policy.choose(state, &mut space);
-                episode.step(action)
-            }
+        let action = driver.map(|policy| policy.choose(state, &mut space));
+        let outcome = match action {
+            Some(action) => episode.step(action),
             None => episode.step_by_expert(),
         };
-        rows.actions.push(outcome.expert_action.unwrap_or_default());
+        let expert_action = outcome.expert_action.unwrap_or_default();
+        let overbraking = action.map_or(0.0, |action| (expert_action - action).max(0.0));
+        rows.actions.push(expert_action);
+        rows.weights.push(overbraking);
         rows.is_last.push(outcome.ending != EpisodeEnding::None);
         if outcome.ending != EpisodeEnding::None {
             rows.contacts = u64::from(outcome.ending == EpisodeEnding::Contact);

@@ -39,7 +39,9 @@ impl TrainingConfig {
         if self.name.trim().is_empty() {
             return Err(TrainingConfigError::field("name", "must not be empty"));
         }
-        check_range("episodes", self.episodes as f64, [1.0, 1e7])?;
+        // An imitation needs no reinforcement learning.
+        let least = if self.imitation.is_some() { 0.0 } else { 1.0 };
+        check_range("episodes", self.episodes as f64, [least, 1e7])?;
         check_range("environment.decision_steps", f64::from(self.environment.action_repeat), [1.0, 1500.0])?;
         check_range("environment.step_reward", self.environment.step_reward, [0.0, 1e6])?;
         check_range("environment.contact_reward", self.environment.contact_reward, [-1e9, 0.0])?;

@@ -108,7 +108,7 @@ pub(crate) fn train_with_recorder<E: From<TrainingError>>(
     recorder.checkpoint(trainer)?;
     // This evaluation takes place only because the training ends. It comes after the checkpoint, so that a longer
     // training can resume without it.
-    if trainer.is_evaluation_due() && !trainer.is_evaluation_episode(trainer.episode()) {
+    if trainer.episode() > 0 && trainer.is_evaluation_due() && !trainer.is_evaluation_episode(trainer.episode()) {
         evaluate_and_record(trainer, held_out, recorder)?;
     }
     Ok(())

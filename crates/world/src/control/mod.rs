@@ -44,6 +44,8 @@ macro_rules! with_controllers {
                 Policy(ReferencePolicy),
                 /// The committed policy that was retrained in the space `high-risk`.
                 Retrained(RetrainedPolicy),
+                /// The committed policy for real traffic.
+                Road(RoadPolicy),
             }
         }
     };
@@ -88,7 +90,7 @@ pub use mapping::{HistoryPadding, InputMapping, InvalidMapping, Mapping, OutputM
 pub use match_leader::MatchLeader;
 pub use network::NetworkController;
 pub(crate) use network::NetworkDriver;
-pub use policy::{PolicyDriver, ReferencePolicy, RetrainedPolicy};
+pub use policy::{PolicyDriver, ReferencePolicy, RetrainedPolicy, RoadPolicy};
 pub use predictive::{Predictive, PredictiveSettings};
 pub(crate) use process::ProcessDriver;
 #[cfg(feature = "process")]

@@ -79,40 +79,40 @@ impl Controller for PolicyDriver {
     }
 }
 
-/// The committed reference policy.
-pub struct ReferencePolicy;
+/// Declares a committed policy as a built-in controller.
+macro_rules! committed_policy {
+    ($(#[$about:meta])* $driver:ident, $name:literal, $load:path, $summary:literal) => {
+        $(#[$about])*
+        pub struct $driver;
 
-/// The committed policy that was retrained.
-pub struct RetrainedPolicy;
+        impl BuiltIn for $driver {
+            const NAME: &'static str = $name;
+            const SUMMARY: &'static str = $summary;
+            const ROLE: Role = Role::Learned;
+            type Settings = NoSettings;
+            type Driver = PolicyDriver;
 
-impl BuiltIn for ReferencePolicy {
-    const NAME: &'static str = "policy";
-    const SUMMARY: &'static str = "the committed reference policy, learned by DDPG";
-    const ROLE: Role = Role::Learned;
-    type Settings = NoSettings;
-    type Driver = PolicyDriver;
+            fn policy() -> Option<Arc<Policy>> {
+                Some($load())
+            }
 
-    fn policy() -> Option<Arc<Policy>> {
-        Some(Policy::reference())
-    }
-
-    fn start(_settings: &NoSettings, ego: &Ego, _seed: u64) -> PolicyDriver {
-        PolicyDriver::new(Policy::reference(), ego)
-    }
+            fn start(_settings: &NoSettings, ego: &Ego, _seed: u64) -> PolicyDriver {
+                PolicyDriver::new($load(), ego)
+            }
+        }
+    };
 }
 
-impl BuiltIn for RetrainedPolicy {
-    const NAME: &'static str = "retrained";
-    const SUMMARY: &'static str = "policy retrained in the space high-risk by retrain (corpora/policy/README.md)";
-    const ROLE: Role = Role::Learned;
-    type Settings = NoSettings;
-    type Driver = PolicyDriver;
-
-    fn policy() -> Option<Arc<Policy>> {
-        Some(Policy::retrained())
-    }
-
-    fn start(_settings: &NoSettings, ego: &Ego, _seed: u64) -> PolicyDriver {
-        PolicyDriver::new(Policy::retrained(), ego)
-    }
+committed_policy! {
+    /// The committed policy for real traffic.
+    RoadPolicy, "road", Policy::road, "policy for real traffic that imitates `predictive` (preset road)"
+}
+committed_policy! {
+    /// The committed reference policy.
+    ReferencePolicy, "policy", Policy::reference, "the committed reference policy, learned by DDPG"
+}
+committed_policy! {
+    /// The committed policy that was retrained.
+    RetrainedPolicy, "retrained", Policy::retrained,
+    "policy retrained in the space high-risk by retrain (corpora/policy/README.md)"
 }

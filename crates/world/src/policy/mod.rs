@@ -43,6 +43,13 @@ static RETRAINED_BYTES: &[u8] = include_bytes!("retrained.safetensors");
 static RETRAINED: LazyLock<Arc<Policy>> =
     LazyLock::new(|| Arc::new(Policy::from_bytes(RETRAINED_BYTES).expect("the retrained policy is whole")));
 
+/// File of the committed policy `road`, which `crumple train --preset road --seed 1` makes.
+static ROAD_BYTES: &[u8] = include_bytes!("road.safetensors");
+
+#[expect(clippy::expect_used, reason = "the file is part of the program, and a test reads it")]
+static ROAD: LazyLock<Arc<Policy>> =
+    LazyLock::new(|| Arc::new(Policy::from_bytes(ROAD_BYTES).expect("the policy is whole")));
+
 /// A policy: an actor network that drives.
 ///
 /// Answers are finite: networks that could overflow on clipped observations are rejected ([`PolicyError::Overflow`]).
@@ -104,6 +111,18 @@ impl Policy {
     #[must_use]
     pub fn retrained_bytes() -> &'static [u8] {
         RETRAINED_BYTES
+    }
+
+    /// Returns the committed policy for real traffic, trained by the preset `road`.
+    #[must_use]
+    pub fn road() -> Arc<Self> {
+        Arc::clone(&ROAD)
+    }
+
+    /// Returns the file of the policy `road`.
+    #[must_use]
+    pub fn road_bytes() -> &'static [u8] {
+        ROAD_BYTES
     }
 
     /// Returns the header: everything except the weights.

@@ -2,8 +2,6 @@
 
 use crate::observation::Neighbour;
 
-/// Averaged deceleration that exceeds everyday traffic, in m/s²; the space `traffic` has at most 2.5.
-const HARD_MPS2: f64 = 2.65;
 /// Averaged acceleration at which hard braking is over, in m/s².
 const RECOVERY_MPS2: f64 = 0.5;
 /// Averaging time, in seconds.
@@ -12,20 +10,22 @@ const AVERAGING_S: f64 = 0.2;
 /// Averaged acceleration of the leader, and whether it brakes harder than in everyday traffic.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Leader {
+    /// Averaged deceleration that exceeds everyday traffic, in m/s².
+    everyday_brake_mps2: f64,
     step_s: f64,
     averaged_mps2: f64,
     brakes_hard: bool,
 }
 
 impl Leader {
-    pub(super) fn new(step_s: f64) -> Self {
-        Self { step_s, averaged_mps2: 0.0, brakes_hard: false }
+    pub(super) fn new(everyday_brake_mps2: f64, step_s: f64) -> Self {
+        Self { everyday_brake_mps2, step_s, averaged_mps2: 0.0, brakes_hard: false }
     }
 
     pub(super) fn observe(&mut self, ahead: &Neighbour) {
         let share = (self.step_s / AVERAGING_S).min(1.0);
         self.averaged_mps2 += share * (ahead.acceleration_mps2 - self.averaged_mps2);
-        if self.averaged_mps2 < -HARD_MPS2 {
+        if self.averaged_mps2 < -self.everyday_brake_mps2 {
             self.brakes_hard = true;
         } else if self.averaged_mps2 > RECOVERY_MPS2 {
             self.brakes_hard = false;

@@ -37,8 +37,6 @@ settings! {
         ahead_brake_mps2: 4.0, 0.0..=30.0, 0.0..=9.0;
         /// Deceleration of the follower before it is observed, in m/s²: a laden lorry has 5 to 6.
         behind_brake_mps2: 4.3, 0.1..=30.0, 3.0..=9.0;
-        /// Time from the firing of the follower's emergency brake to its deceleration, in seconds.
-        behind_delay_s: 0.1, 0.0..=10.0, 0.0..=1.0;
         /// Probability, before any observation, that the follower has nothing but an emergency brake.
         unaware_share: 0.08, 0.0..=1.0, 0.01..=0.5;
         /// Slack between the predicted stopping places of leader and follower below which to wake the follower, in
@@ -60,6 +58,9 @@ settings! {
         room_gain_per_s2: 4.0, 0.0..=100.0, 0.5..=6.0;
         /// Deceleration beyond the justified one, in m/s², unless the leader brakes harder than in everyday traffic.
         excess_brake_mps2: 1.85, 0.0..=30.0, 0.0..=4.0;
+        /// Deceleration of the leader, averaged over 0.2 s, that exceeds everyday traffic, in m/s²; the space `traffic`
+        /// has at most 2.5.
+        everyday_brake_mps2: 2.65, 0.0..=30.0, 2.0..=5.0;
     }
 }
 
@@ -69,6 +70,8 @@ const LATEST_BRAKE_SHARE: f64 = 0.97;
 const HARD_BRAKE_MPS2: f64 = 3.8;
 /// Justified deceleration from which hard braking is not unnecessary (3 m/s², plus errors of the estimate), in m/s².
 const HARD_BRAKE_CAUSE_MPS2: f64 = 3.5;
+/// Time from the firing of the follower's emergency brake to its deceleration, in seconds.
+const FIRING_DELAY_S: f64 = 0.1;
 /// Smallest deceleration in a prediction, in m/s²: makes stopping distances finite.
 const MIN_BRAKE_MPS2: f64 = 0.05;
 /// Waking deceleration that is too small to brake for, in m/s².
@@ -111,7 +114,7 @@ impl BuiltIn for Predictive {
             max_brake_mps2: ego.max_brake_mps2,
             max_accel_mps2: ego.max_accel_mps2,
             friction: Friction::new(ego),
-            leader: Leader::new(ego.step_s),
+            leader: Leader::new(settings.everyday_brake_mps2, ego.step_s),
             follower: Follower::new(settings.unaware_share, ego),
             step_s: ego.step_s,
             wake_mps2: 0.0,
@@ -195,7 +198,7 @@ impl State {
         }
         let brake_mps2 = all.wake_brake_mps2.min(outlook.own_brake_mps2);
         let waking_s = waking_time_s(behind.gap_m, closing_mps, brake_mps2, max_closing_mps);
-        let behind_m = behind.speed_mps * (waking_s + all.behind_delay_s)
+        let behind_m = behind.speed_mps * (waking_s + FIRING_DELAY_S)
             + stopping_distance_m(behind.speed_mps, all.behind_brake_mps2 * outlook.friction);
         let slack_m = outlook.way_m + behind.gap_m - behind_m;
         let (wanted_m, lag_s) = match self.leader.brakes_hard() {
@@ -214,7 +217,7 @@ impl State {
     fn give_way(&self, outlook: &Outlook, behind: &Neighbour) -> f64 {
         let all = &self.settings;
         let closing_mps = (behind.speed_mps - outlook.own_mps).max(0.0);
-        let delay_s = (all.behind_delay_s - self.follower.fired_for_s()).max(0.0);
+        let delay_s = (FIRING_DELAY_S - self.follower.fired_for_s()).max(0.0);
         let behind_m =
             behind.gap_m - closing_mps * delay_s - stopping_distance_m(closing_mps, self.follower.brake_mps2());
         let at_rest_m = outlook.way_m - stopping_distance_m(outlook.own_mps, outlook.own_brake_mps2);
