@@ -7,7 +7,9 @@ use clap::{Args, ValueEnum};
 use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, output, progress, value_enums};
 use crumple_core::observer::Listener;
-use crumple_learn::tune::{SettingRequest, SettingSearch, TuningObjective, TuningPlan, TuningProgress, TuningSpace};
+use crumple_learn::tune::{
+    SettingRequest, SettingSearch, TuneError, TuningObjective, TuningPlan, TuningProgress, TuningSpace,
+};
 use crumple_search::falsify::Method;
 use crumple_world::observation::EstimatorKind;
 
@@ -118,10 +120,18 @@ fn parse_request(words: &str) -> Result<SettingRequest, String> {
     Ok(SettingRequest { name: name.to_owned(), range: Some(range) })
 }
 
+/// Adds the option to an error about its value.
+fn with_option(error: TuneError) -> CliError {
+    match error {
+        TuneError::Setting { .. } => CliError::Input(format!("--setting {error}")),
+        TuneError::Space { .. } => CliError::Input(format!("--space {error}")),
+        other => other.into(),
+    }
+}
+
 impl Tune {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        let search = SettingSearch::parse(&self.controller, &self.setting)
-            .map_err(|error| CliError::Input(format!("--setting: {error}")))?;
+        let search = SettingSearch::parse(&self.controller, &self.setting).map_err(with_option)?;
         let plan = TuningPlan {
             search,
             spaces: self.space,
@@ -147,7 +157,7 @@ impl Tune {
         };
         let report = plan.run(&self.out, self.resume, &Listener(show));
         bar.finish_and_clear();
-        let report = report?;
+        let report = report.map_err(with_option)?;
         output::note(&format!("wrote {out} (candidates.jsonl, report.md, report.json)"), quiet);
         output::print_result(self.format, &report, || report.to_markdown())
     }

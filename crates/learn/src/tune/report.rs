@@ -121,6 +121,13 @@ impl TuningReport {
         })
     }
 
+    /// Returns false if the tuned settings differ from the initial ones, but are not better in the test set.
+    #[must_use]
+    pub fn is_confirmed(&self) -> bool {
+        let objectives: Vec<f64> = self.test.iter().map(|score| score.objective).collect();
+        self.tuned == self.initial || matches!(objectives[..], [initial, tuned, ..] if tuned < initial)
+    }
+
     /// Returns the text of `report.md`.
     #[must_use]
     pub fn to_markdown(&self) -> String {
@@ -197,7 +204,14 @@ impl TuningReport {
         for (name, measure) in measures {
             self.write_row(out, name, |score| score.traffic.as_ref().map(|found| measure(found, self)))?;
         }
-        self.write_row(out, "objective", |score| Some(format!("{:.4}", score.objective)))
+        self.write_row(out, "objective", |score| Some(format!("{:.4}", score.objective)))?;
+        match self.is_confirmed() {
+            true => Ok(()),
+            false => out.write_str(
+                "\nThe tuned settings are not better than the initial ones in the test set: the improvement in the \
+                 other sets was chance. Use more random scenarios for each candidate.\n",
+            ),
+        }
     }
 
     fn write_row(
