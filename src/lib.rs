@@ -25,7 +25,7 @@
 //! | [`search`] | worst cases, falsification |
 //! | [`evidence`] | failure rates and claims with certificates, scenario spaces fitted to recordings |
 //! | [`suites`] | tests modelled on regulations |
-//! | [`learn`] | training, and retraining on counterexamples |
+//! | [`learn`] | training, retraining on counterexamples, tuning of settings |
 //! | [`report`] | figures, tables, the assessment |
 //! | [`verify`] | the checker of certificates |
 //!

@@ -77,6 +77,19 @@ pub(super) fn parse_space(name_or_path: &str) -> Result<(String, ScenarioSpace),
     Ok((name_or_path.to_owned(), space))
 }
 
+/// Parses the name of a scenario space and its weight, 1 by default: `traffic`, or `wet.toml=0.2`.
+pub(super) fn parse_weighted_name(words: &str) -> Result<(String, f64), String> {
+    let (space, weight) = match words.rsplit_once('=') {
+        Some((_, "")) => return Err("the weight after `=` is missing".to_owned()),
+        Some((space, weight)) => (space, weight.parse().map_err(|_| format!("`{weight}` is not a weight"))?),
+        None => (words, 1.0),
+    };
+    if space.trim().is_empty() {
+        return Err("the name of the scenario space is empty".to_owned());
+    }
+    Ok((space.to_owned(), weight))
+}
+
 /// Finds a built-in controller or loads one from a file, for clap. Starts no program: [`try_controllers`] does.
 pub(super) fn parse_controller(name: &str) -> Result<NamedController, String> {
     let found = NamedController::find_for_user(name, Path::new("")).map_err(|error| error.to_string())?;

@@ -10,6 +10,7 @@ use crumple_evidence::InvalidRate;
 use crumple_evidence::rare::RareError;
 use crumple_learn::retrain::RetrainError;
 use crumple_learn::rl::MergeTrainingsError;
+use crumple_learn::tune::TuneError;
 use crumple_report::assessment::{AssessConfigError, AssessError, CacheError, EvidenceShardError};
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_store::disk::DiskError;
@@ -141,4 +142,5 @@ from_errors! {
     SuiteError { File }
     SuiteShardError { RunFolder }
     RunFolderError { Disk }
+    TuneError { Disk, RunFolder }
 }

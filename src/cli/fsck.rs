@@ -17,8 +17,8 @@ use crumple_store::run_folder::{FolderExamination, examine, is_run_folder};
 /// Check result folders for missing or modified files
 #[derive(Args)]
 #[command(after_long_help = "\
-A result folder of `crumple falsify`, `verify rate`, `train` or `retrain` contains `work.json`, which states the \
-length and the SHA-256 of every file. `fsck` changes no file and names all damaged files; --resume stops at the \
+A result folder of `crumple falsify`, `verify rate`, `train`, `retrain` or `tune` contains `work.json`, which states \
+the length and the SHA-256 of every file. `fsck` changes no file and names all damaged files; --resume stops at the \
 first.
 
 Damaged work cannot be resumed; start again with a new --out. The same seed gives the same results.
@@ -34,7 +34,7 @@ rewrote `work.json`.
 Examples:
   crumple fsck runs/baseline runs/seed-3")]
 pub(super) struct Fsck {
-    /// Folders of campaigns, counts, trainings, retrainings and reports
+    /// Folders of campaigns, counts, trainings, retrainings, tunings and reports
     #[arg(required = true, value_name = "DIR")]
     folders: Vec<PathBuf>,
     /// Output format

@@ -43,6 +43,7 @@ mod suite;
 mod suite_folder;
 mod suite_map;
 mod train;
+mod tune;
 mod utc;
 mod value_enums;
 mod verify;
@@ -73,7 +74,7 @@ const TASKS: &[(&str, &[&str])] = &[
     ("Simulate and view", &["simulate", "explore", "export"]),
     ("Search for collisions", &["falsify", "worst-case", "avoid"]),
     ("Prove", &["verify", "check"]),
-    ("Train", &["train", "retrain"]),
+    ("Train and tune", &["train", "retrain", "tune"]),
     ("Use recorded data", &["import", "fit"]),
     ("Divide work among machines", &["plan", "merge", "fsck"]),
     ("Look up", &["list", "show", "describe", "doctor"]),
@@ -106,6 +107,7 @@ enum CliCommand {
     Train(train::Train),
     // Boxed: it has far more arguments than any other.
     Retrain(Box<retrain::Retrain>),
+    Tune(Box<tune::Tune>),
     Falsify(falsify::Falsify),
     Avoid(avoid::Avoid),
     WorstCase(worst_case::WorstCase),
@@ -155,6 +157,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         CliCommand::Explore(command) => command.run(quiet),
         CliCommand::Train(command) => command.run(quiet),
         CliCommand::Retrain(command) => command.run(quiet),
+        CliCommand::Tune(command) => command.run(quiet),
         CliCommand::Avoid(command) => command.run(quiet),
         CliCommand::Check(command) => command.run(quiet),
         CliCommand::WorstCase(command) => command.run(quiet),

@@ -88,17 +88,9 @@ pub(super) struct Train {
     format: OutputFormat,
 }
 
-/// Parses `traffic`, or `wet.toml=0.2`.
 fn parse_space_share(words: &str) -> Result<TrainingSpace, String> {
-    let (space, weight) = match words.rsplit_once('=') {
-        Some((_, "")) => return Err("the weight after `=` is missing".to_owned()),
-        Some((space, weight)) => (space, weight.parse().map_err(|_| format!("`{weight}` is not a weight"))?),
-        None => (words, 1.0),
-    };
-    if space.trim().is_empty() {
-        return Err("the name of the scenario space is empty".to_owned());
-    }
-    Ok(TrainingSpace { space: space.to_owned(), weight, cost_multiplier: 1.0 })
+    let (space, weight) = args::parse_weighted_name(words)?;
+    Ok(TrainingSpace { space, weight, cost_multiplier: 1.0 })
 }
 
 /// Contents of `training.json`: all finished trainings in the folder.

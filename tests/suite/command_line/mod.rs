@@ -13,6 +13,7 @@ mod retrain;
 mod shards;
 mod shell;
 mod train;
+mod tune;
 mod verify;
 mod worst_case;
 

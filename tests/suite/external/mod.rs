@@ -43,6 +43,11 @@ const CASES: &[(&str, &str, StartExpectation)] = &[
     ("train", "--preset preset.toml --out o", Refused("space.toml:")),
     ("retrain", "--space space.toml --out o", Refused("space.toml:")),
     ("retrain", "--regression space.toml --out o", Refused("space.toml:")),
+    (
+        "tune",
+        "--controller idm --space space.toml --evaluations 1 --runs 1 --test-runs 1 --out o",
+        RefusedOrStarts("space.toml:"),
+    ),
     ("falsify", "--controller idm --space space.toml --budget 2 --out o", RefusedOrStarts("space.toml:")),
     ("falsify", "--controller idm --space space.toml --budget 2 --out campaign --resume", Refused("space.toml:")),
     ("avoid", "driven.toml", RefusedOrStarts("driven.toml:")),

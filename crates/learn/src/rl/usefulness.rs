@@ -11,12 +11,20 @@ use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunError, RunOptio
 
 use super::source::EGO;
 
-/// Largest accepted RMS of acceleration and jerk, relative to `idm`.
-const MAX_RATIO_TO_IDM: f64 = 1.25;
-/// Range of mean time gaps without a penalty, in seconds.
-const TIME_GAP_RANGE_S: [f64; 2] = [1.2, 2.0];
-/// Weight of an excess of comfort or time gap, relative to the share of faulty drives.
-const EXCESS_WEIGHT: f64 = 0.05;
+/// Limits beyond which discomfort and time gaps are penalised.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub(crate) struct UsefulnessLimits {
+    /// Largest accepted RMS of acceleration and jerk, relative to `idm`.
+    pub(crate) max_ratio_to_idm: f64,
+    /// Range of mean time gaps without a penalty, in seconds.
+    pub(crate) time_gap_range_s: [f64; 2],
+    /// Weight of an excess of comfort or time gap, relative to the share of faulty drives.
+    pub(crate) excess_weight: f64,
+}
+
+/// Limits in the evaluation of policies during a training.
+pub(super) const TRAINING_LIMITS: UsefulnessLimits =
+    UsefulnessLimits { max_ratio_to_idm: 1.25, time_gap_range_s: [1.2, 2.0], excess_weight: 0.05 };
 
 /// Result of a controller in random scenarios of everyday traffic.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -43,19 +51,19 @@ pub struct TrafficUsefulness {
 
 impl TrafficUsefulness {
     /// Returns the share of faulty drives, plus a small penalty for discomfort and for an unusual time gap. 0 is best.
-    pub(crate) fn penalty(&self) -> f64 {
-        let [closest_s, furthest_s] = TIME_GAP_RANGE_S;
+    pub(crate) fn penalty(&self, limits: &UsefulnessLimits) -> f64 {
+        let [closest_s, furthest_s] = limits.time_gap_range_s;
         let off_s = (closest_s - self.mean_time_gap_s).max(self.mean_time_gap_s - furthest_s).max(0.0);
-        let beyond = |times_idm: f64| (times_idm / MAX_RATIO_TO_IDM - 1.0).max(0.0);
+        let beyond = |times_idm: f64| (times_idm / limits.max_ratio_to_idm - 1.0).max(0.0);
         let excess = beyond(self.acceleration_times_idm) + beyond(self.jerk_times_idm) + off_s;
         (self.contacts + self.hard_braking + self.fell_behind) as f64 / self.scenario_count.max(1) as f64
-            + EXCESS_WEIGHT * excess
+            + limits.excess_weight * excess
     }
 }
 
 /// Random scenarios of everyday traffic, and the result of `idm` in them.
 #[derive(Debug, Clone)]
-pub(super) struct TrafficBenchmark {
+pub(crate) struct TrafficBenchmark {
     draws: Vec<Scenario>,
     estimator: EstimatorKind,
     idm_rms: [f64; 2],
@@ -63,7 +71,7 @@ pub(super) struct TrafficBenchmark {
 
 impl TrafficBenchmark {
     /// Samples the first scenarios of the built-in space `traffic`.
-    pub(super) fn new(seed: u64, draws: u64, estimator: EstimatorKind) -> Result<Self, RunError> {
+    pub(crate) fn new(seed: u64, draws: u64, estimator: EstimatorKind) -> Result<Self, RunError> {
         let space = built_in_space("traffic");
         let draws =
             space.iter().flat_map(|space| (0..draws).filter_map(|index| space.draw(seed, index).ok())).collect();
@@ -73,7 +81,7 @@ impl TrafficBenchmark {
         Ok(traffic)
     }
 
-    pub(super) fn evaluate(&self, controller: &ControllerKind) -> Result<TrafficUsefulness, RunError> {
+    pub(crate) fn evaluate(&self, controller: &ControllerKind) -> Result<TrafficUsefulness, RunError> {
         let options = RunOptions::new(controller.clone()).with_estimator(self.estimator);
         let runs =
             self.draws.iter().map(|scenario| Run::new(scenario, options.clone())).collect::<Result<Vec<_>, _>>()?;
@@ -125,8 +133,8 @@ mod tests {
         let idm = traffic.evaluate(&ControllerKind::from(ControllerSpec::Idm(Default::default()))).unwrap();
         assert_eq!((idm.contacts, idm.hard_braking, idm.fell_behind), (0, 0, 0));
         assert_eq!((idm.acceleration_times_idm, idm.jerk_times_idm), (1.0, 1.0));
-        assert!(idm.penalty() < 0.02, "{idm:?}");
+        assert!(idm.penalty(&TRAINING_LIMITS) < 0.02, "{idm:?}");
         let policy = traffic.evaluate(&ControllerKind::Policy(Policy::reference())).unwrap();
-        assert!(policy.penalty() > 0.3 && policy.fell_behind > 0, "{policy:?}");
+        assert!(policy.penalty(&TRAINING_LIMITS) > 0.3 && policy.fell_behind > 0, "{policy:?}");
     }
 }

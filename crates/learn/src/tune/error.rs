@@ -1,0 +1,79 @@
+//! Errors of a tuning.
+
+use crumple_core::observer::Stopped;
+use crumple_store::disk::DiskError;
+use crumple_store::run_folder::RunFolderError;
+use crumple_world::control::{ControllerSpec, InvalidSetting};
+use crumple_world::scenario::InvalidField;
+use crumple_world::sim::RunError;
+
+/// Reason why a tuning cannot start, or stops.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum TuneError {
+    /// The controller is not built in: a file, a process, a controller behind a shield, or an unknown name.
+    #[error("`{0}` is not a built-in controller; those with settings are {names}", names = tunable_controllers())]
+    NotBuiltIn(String),
+    /// The built-in controller has no settings.
+    #[error("`{0}` has no settings to tune; the controllers with settings are {names}", names = tunable_controllers())]
+    NoSettings(&'static str),
+    /// The controller has an invalid setting.
+    #[error(transparent)]
+    Controller(#[from] InvalidSetting),
+    /// The controller fixes all its settings.
+    #[error("no setting is left to tune: `{0}` fixes all of them")]
+    AllFixed(String),
+    /// A requested setting is unknown, fixed, requested twice, or has an invalid range.
+    #[error("{setting}: {problem}")]
+    Setting {
+        /// Name of the setting.
+        setting: String,
+        /// Problem with it.
+        problem: String,
+    },
+    /// A space has an invalid weight, occurs twice, or has no vehicle under test.
+    #[error("{space}: {problem}")]
+    Space {
+        /// Name of the space; empty if there is none.
+        space: String,
+        /// Problem with it.
+        problem: &'static str,
+    },
+    /// A file or folder cannot be read or written.
+    #[error(transparent)]
+    Disk(#[from] DiskError),
+    /// The folder cannot be used, or a file in it is damaged.
+    #[error(transparent)]
+    RunFolder(#[from] RunFolderError),
+    /// The folder holds another tuning.
+    #[error("{0}")]
+    Folder(String),
+    /// A scenario cannot be run.
+    #[error(transparent)]
+    Run(#[from] RunError),
+    /// A random scenario is invalid.
+    #[error(transparent)]
+    Scenario(#[from] InvalidField),
+    /// The observer stopped the tuning.
+    #[error("the tuning was {0}")]
+    Stopped(#[from] Stopped),
+    /// The search method proposes no point, or one outside the unit cube.
+    #[error("the search method `{0}` proposes no usable point")]
+    Method(String),
+    /// A file cannot be encoded.
+    #[error("cannot encode a file of the tuning: {0}")]
+    Encoding(String),
+}
+
+impl TuneError {
+    pub(super) fn encoding(error: impl std::fmt::Display) -> Self {
+        Self::Encoding(error.to_string())
+    }
+}
+
+/// Returns the names of the built-in controllers with settings.
+fn tunable_controllers() -> String {
+    let all = ControllerSpec::all();
+    let names: Vec<_> = all.iter().filter(|spec| !spec.fields().is_empty()).map(ControllerSpec::name).collect();
+    names.join(", ")
+}

@@ -1,0 +1,104 @@
+//! Objective of a tuning: collisions in scenario spaces, and usability in everyday traffic.
+
+use serde::{Deserialize, Serialize};
+
+use super::TuneError;
+use crate::rl::{TrafficBenchmark, TrafficUsefulness, UsefulnessLimits};
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::Scenario;
+use crumple_world::scenario::space::ScenarioSpace;
+use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate_batch};
+
+/// Number that a tuning minimises.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum TuningObjective {
+    /// The weighted mean of the collision shares in the spaces, plus a penalty in the space `traffic`: the share of
+    /// drives with a collision, with unnecessary hard braking (above 4 m/s², of which less than 3 m/s² had a cause) or
+    /// left behind, each counted, and half the excess over the limits of comfort and time gap. These are 1.2 times the
+    /// RMS of acceleration and jerk of `idm` (the excess is relative), and a mean time gap from 1.2 to 2.1 s (the
+    /// excess is in seconds).
+    Both,
+    /// The weighted mean of the collision shares in the spaces.
+    Safety,
+}
+
+/// Limits of [`TuningObjective::Both`]. A tenth more jerk than allowed weighs as much as 5 % more collisions.
+pub(super) const LIMITS: UsefulnessLimits =
+    UsefulnessLimits { max_ratio_to_idm: 1.2, time_gap_range_s: [1.2, 2.1], excess_weight: 0.5 };
+
+/// A scenario space, and its weight in the objective.
+#[derive(Debug, Clone)]
+pub struct TuningSpace {
+    /// The space.
+    pub space: ScenarioSpace,
+    /// Weight relative to the other spaces, from 1e-6 to 1e6.
+    pub weight: f64,
+}
+
+/// Results of a controller in a set of scenarios.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct ControllerScore {
+    /// The controller, as on the command line.
+    pub controller: String,
+    /// The objective; smallest is best.
+    pub objective: f64,
+    /// Number of collisions in each space, in their order.
+    pub collisions: Vec<u64>,
+    /// Usefulness in `traffic`; none if it was not simulated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub traffic: Option<TrafficUsefulness>,
+}
+
+/// A set of random scenarios, equal for all controllers.
+pub(super) struct ScoringSet {
+    objective: TuningObjective,
+    estimator: EstimatorKind,
+    /// Scenarios and weight of each space.
+    spaces: Vec<(Vec<Scenario>, f64)>,
+    traffic: Option<TrafficBenchmark>,
+}
+
+impl ScoringSet {
+    /// Samples the first `runs` scenarios of each space, and of `traffic` if `with_traffic` is set.
+    pub(super) fn new(
+        (objective, spaces): (TuningObjective, &[TuningSpace]),
+        (seed, runs): (u64, u64),
+        estimator: EstimatorKind,
+        with_traffic: bool,
+    ) -> Result<Self, TuneError> {
+        let sample = |TuningSpace { space, weight }: &TuningSpace| {
+            let scenarios = (0..runs).map(|index| space.draw(seed, index)).collect::<Result<_, _>>()?;
+            Ok::<_, TuneError>((scenarios, *weight))
+        };
+        let traffic = with_traffic.then(|| TrafficBenchmark::new(seed, runs, estimator)).transpose()?;
+        Ok(Self { objective, estimator, spaces: spaces.iter().map(sample).collect::<Result<_, _>>()?, traffic })
+    }
+
+    /// Simulates a controller in all scenarios.
+    pub(super) fn score(&self, controller: &ControllerSpec) -> Result<ControllerScore, RunError> {
+        let options = RunOptions::new(controller.clone()).with_estimator(self.estimator);
+        let (mut collisions, mut share, mut total_weight) = (Vec::new(), 0.0, 0.0);
+        for (scenarios, weight) in &self.spaces {
+            let runs = scenarios.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
+            let collided = simulate_batch(&runs, RecordingLevel::Summary, |_, found| found.outcome.contact().is_some());
+            let count = collided.into_iter().filter(|&collided| collided).count() as u64;
+            collisions.push(count);
+            share += weight * count as f64 / runs.len().max(1) as f64;
+            total_weight += weight;
+        }
+        let traffic = self.traffic.as_ref().map(|traffic| traffic.evaluate(&controller.clone().into())).transpose()?;
+        let penalty = match (self.objective, &traffic) {
+            (TuningObjective::Both, Some(found)) => found.penalty(&LIMITS),
+            _ => 0.0,
+        };
+        Ok(ControllerScore {
+            controller: controller.to_arg(),
+            objective: share / total_weight + penalty,
+            collisions,
+            traffic,
+        })
+    }
+}

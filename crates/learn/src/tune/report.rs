@@ -1,0 +1,232 @@
+//! Report of a tuning as JSON and Markdown.
+
+use std::fmt::Write;
+
+use serde::{Deserialize, Serialize};
+
+use super::objective::{ControllerScore, LIMITS};
+use super::plan::TUNE_VERSION;
+use super::{TuneError, TuningObjective, TuningPlan};
+use crate::rl::TrafficUsefulness;
+use crumple_core::digest::sha256;
+use crumple_core::quoting::MarkdownText;
+use crumple_evidence::RateInterval;
+use crumple_world::control::ControllerSpec;
+
+const CONFIDENCE: f64 = 0.95;
+
+/// One setting of the report.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TunedSetting {
+    /// Name, with its unit.
+    pub name: String,
+    /// Unit; `1` if it has none.
+    pub unit: String,
+    /// Minimum and maximum of the search; none for a setting that was not searched.
+    pub range: Option<[f64; 2]>,
+    /// Default value.
+    pub default: f64,
+    /// Tuned value.
+    pub tuned: f64,
+}
+
+/// Results of one of the best candidates.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TuningFinalist {
+    /// Results in the tuning set.
+    pub tuning: ControllerScore,
+    /// Results in the selection set.
+    pub selection: ControllerScore,
+}
+
+/// The file `report.json`.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TuningReport {
+    /// Version of the format: 1.
+    pub version: u32,
+    /// Version of crumple.
+    pub crumple: String,
+    /// SHA-256 of `tune.toml`.
+    pub plan_sha256: String,
+    /// Controller with its initial settings, as on the command line.
+    pub initial: String,
+    /// Controller with its tuned settings, as on the command line.
+    pub tuned: String,
+    /// Number that was minimised.
+    pub objective: TuningObjective,
+    /// Name of the search method.
+    pub method: String,
+    /// Seed.
+    pub seed: u64,
+    /// Name of the estimator.
+    pub estimator: String,
+    /// Number of candidates, with the initial settings.
+    pub evaluations: u64,
+    /// Random scenarios of each space in the tuning set, and in the selection set.
+    pub runs: u64,
+    /// Random scenarios of each space in the test set.
+    pub test_runs: u64,
+    /// Names of the spaces.
+    pub spaces: Vec<String>,
+    /// Weights of the spaces in the objective.
+    pub weights: Vec<f64>,
+    /// All settings of the controller.
+    pub settings: Vec<TunedSetting>,
+    /// Initial settings and best candidates, in the order of their objectives in the tuning set after the first.
+    pub finalists: Vec<TuningFinalist>,
+    /// Results of initial settings, tuned settings and `idm` in the test set.
+    pub test: Vec<ControllerScore>,
+}
+
+impl TuningReport {
+    pub(super) fn new(
+        plan: &TuningPlan,
+        tuned: ControllerSpec,
+        finalists: Vec<TuningFinalist>,
+        test: Vec<ControllerScore>,
+    ) -> Result<Self, TuneError> {
+        let default = ControllerSpec::from_name(tuned.name()).unwrap_or_else(|| tuned.clone());
+        let setting = |((field, tuned), (_, default)): ((&'static _, f64), (_, f64))| {
+            let field: &crumple_world::control::SettingField = field;
+            let searched = plan.search.searched().iter().find(|searched| searched.field.name == field.name);
+            TunedSetting {
+                name: field.name.to_owned(),
+                unit: field.unit().to_owned(),
+                range: searched.map(|searched| searched.range),
+                default,
+                tuned,
+            }
+        };
+        Ok(Self {
+            version: TUNE_VERSION,
+            crumple: env!("CARGO_PKG_VERSION").to_owned(),
+            plan_sha256: sha256(plan.to_toml()?),
+            initial: plan.search.initial().to_arg(),
+            tuned: tuned.to_arg(),
+            objective: plan.objective,
+            method: plan.method.name().to_owned(),
+            seed: plan.seed,
+            estimator: plan.estimator.name().to_owned(),
+            evaluations: plan.evaluations,
+            runs: plan.runs,
+            test_runs: plan.test_runs,
+            spaces: plan.spaces.iter().map(|one| one.space.name().to_owned()).collect(),
+            weights: plan.spaces.iter().map(|one| one.weight).collect(),
+            settings: tuned.values().zip(default.values()).map(setting).collect(),
+            finalists,
+            test,
+        })
+    }
+
+    /// Returns false if the tuned settings differ from the initial ones, but are not better in the test set.
+    #[must_use]
+    pub fn is_confirmed(&self) -> bool {
+        let objectives: Vec<f64> = self.test.iter().map(|score| score.objective).collect();
+        self.tuned == self.initial || matches!(objectives[..], [initial, tuned, ..] if tuned < initial)
+    }
+
+    /// Returns the text of `report.md`.
+    #[must_use]
+    pub fn to_markdown(&self) -> String {
+        let mut text = String::new();
+        // Writing to a string cannot fail.
+        let _ = self.write_markdown(&mut text);
+        text
+    }
+
+    fn write_markdown(&self, out: &mut String) -> std::fmt::Result {
+        let spaces = self.spaces.iter().zip(&self.weights);
+        let spaces: Vec<_> = spaces.map(|(name, weight)| format!("{} ({weight})", MarkdownText(name))).collect();
+        let result = match self.tuned == self.initial {
+            true => "No candidate was better than the initial settings in both the tuning and the selection set.",
+            false => "The tuned controller:",
+        };
+        writeln!(out, "# Tuning of `{}`\n\n{result}\n\n```text\n{}\n```\n", self.initial, self.tuned)?;
+        writeln!(
+            out,
+            "{} candidates of the method {} (seed {}), each in {} random scenarios of each space. Spaces, with their \
+             weights: {}. {}\n\n| setting | unit | range | default | tuned |\n|---|---|---|---|---|",
+            self.evaluations,
+            self.method,
+            self.seed,
+            self.runs,
+            spaces.join(", "),
+            self.objective_sentence()
+        )?;
+        for TunedSetting { name, unit, range, default, tuned } in &self.settings {
+            let range = range.map_or("fixed".to_owned(), |[low, high]| format!("{low} to {high}"));
+            writeln!(out, "| `{name}` | {unit} | {range} | {default} | {tuned} |")?;
+        }
+        self.write_test(out)
+    }
+
+    fn objective_sentence(&self) -> String {
+        let [closest_s, furthest_s] = LIMITS.time_gap_range_s;
+        match self.objective {
+            TuningObjective::Safety => "The objective is the weighted mean of their collision shares.".to_owned(),
+            TuningObjective::Both => format!(
+                "The objective is the weighted mean of their collision shares, plus a penalty in `traffic`: the shares \
+                 of drives with a collision, with unnecessary hard braking and left behind, and {} times the relative \
+                 excess of RMS acceleration and of RMS jerk above {} times those of `idm`, and the distance of the \
+                 mean time gap from {closest_s} to {furthest_s} s, in seconds.",
+                LIMITS.excess_weight, LIMITS.max_ratio_to_idm
+            ),
+        }
+    }
+
+    /// Writes the table of the test set: one column per controller, one row per measure.
+    fn write_test(&self, out: &mut String) -> std::fmt::Result {
+        writeln!(
+            out,
+            "\n## Test set\n\n{} other random scenarios of each space and of `traffic`, which decided nothing. \
+             Shares in %, with exact {:.0} % intervals. Hard braking: above 4 m/s², of which less than 3 m/s² had a \
+             cause.\n\n| measure | initial settings | tuned settings | `idm` |\n|---|---|---|---|",
+            self.test_runs,
+            100.0 * CONFIDENCE
+        )?;
+        for (index, space) in self.spaces.iter().enumerate() {
+            self.write_row(out, &format!("collisions in {}", MarkdownText(space)), |score| {
+                score.collisions.get(index).map(|&count| self.format_share(count))
+            })?;
+        }
+        type Measure = (&'static str, fn(&TrafficUsefulness, &TuningReport) -> String);
+        let measures: [Measure; 6] = [
+            ("collisions in `traffic`", |found, report| report.format_share(found.contacts)),
+            ("unnecessary hard braking in `traffic`", |found, report| report.format_share(found.hard_braking)),
+            ("left behind in `traffic`", |found, report| report.format_share(found.fell_behind)),
+            ("RMS acceleration, relative to `idm`", |found, _| format!("{:.2}", found.acceleration_times_idm)),
+            ("RMS jerk, relative to `idm`", |found, _| format!("{:.2}", found.jerk_times_idm)),
+            ("mean time gap, s", |found, _| format!("{:.2}", found.mean_time_gap_s)),
+        ];
+        for (name, measure) in measures {
+            self.write_row(out, name, |score| score.traffic.as_ref().map(|found| measure(found, self)))?;
+        }
+        self.write_row(out, "objective", |score| Some(format!("{:.4}", score.objective)))?;
+        match self.is_confirmed() {
+            true => Ok(()),
+            false => out.write_str(
+                "\nThe tuned settings are not better than the initial ones in the test set: the improvement in the \
+                 other sets was chance. Use more random scenarios for each candidate.\n",
+            ),
+        }
+    }
+
+    fn write_row(
+        &self,
+        out: &mut String,
+        name: &str,
+        cell: impl Fn(&ControllerScore) -> Option<String>,
+    ) -> std::fmt::Result {
+        let cells: Vec<_> = self.test.iter().map(|score| cell(score).unwrap_or_default()).collect();
+        writeln!(out, "| {name} | {} |", cells.join(" | "))
+    }
+
+    fn format_share(&self, count: u64) -> String {
+        let RateInterval { lower, upper } = RateInterval::clopper_pearson(count, self.test_runs, CONFIDENCE);
+        let share = count as f64 / self.test_runs.max(1) as f64;
+        format!("{:.2} ({:.2} to {:.2})", 100.0 * share, 100.0 * lower, 100.0 * upper)
+    }
+}

@@ -1,0 +1,186 @@
+//! Settings of a controller as coordinates of a unit cube.
+
+use super::TuneError;
+use crumple_search::falsify::{EmptyBlock, UnitCube};
+use crumple_world::control::{ControllerSpec, SettingField};
+
+/// A setting to search, by name, and its range; none for the typical one.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SettingRequest {
+    /// Name of the setting, with its unit.
+    pub name: String,
+    /// Minimum and maximum, in the unit of the setting.
+    pub range: Option<[f64; 2]>,
+}
+
+/// One setting to search.
+#[derive(Debug, Clone, PartialEq)]
+pub struct SearchedSetting {
+    /// Description of the setting.
+    pub field: &'static SettingField,
+    /// Minimum and maximum of the search, in the unit of the setting.
+    pub range: [f64; 2],
+    index: usize,
+    initial: f64,
+}
+
+impl SearchedSetting {
+    /// Returns the value at a coordinate in [0, 1], in the unit of the setting.
+    ///
+    /// Search methods start at 0.5, which is the initial value unless that is outside the range. Values are rounded to
+    /// a thousandth of the range or less, so that results can be written as short text.
+    fn value(&self, coordinate: f64) -> f64 {
+        let [low, high] = self.range;
+        let middle = if low < self.initial && self.initial < high { self.initial } else { 0.5 * (low + high) };
+        let value = match coordinate {
+            ..0.5 => low + 2.0 * coordinate * (middle - low),
+            _ => middle + (2.0 * coordinate - 1.0) * (high - middle),
+        };
+        let decimals = (3.0 - libm::log10(high - low).floor()).clamp(0.0, 12.0) as usize;
+        format!("{value:.decimals$}").parse().unwrap_or(value).clamp(low, high) + 0.0 // Turns -0 into 0.
+    }
+}
+
+/// The settings to search, and the values of the others.
+///
+/// ```
+/// use crumple_learn::tune::SettingSearch;
+///
+/// let search = SettingSearch::parse("acc-aeb,time_headway_s=1.5", &[]).unwrap();
+/// assert_eq!(search.initial().to_arg(), "acc-aeb,time_headway_s=1.5");
+/// assert!(search.searched().iter().all(|setting| setting.field.name != "time_headway_s"));
+/// assert!(SettingSearch::parse("policy", &[]).is_err());
+/// ```
+#[derive(Debug, Clone, PartialEq)]
+pub struct SettingSearch {
+    initial: ControllerSpec,
+    searched: Vec<SearchedSetting>,
+}
+
+impl SettingSearch {
+    /// Parses a controller as [`ControllerSpec::parse`] does. The settings in the text are fixed. Searches the
+    /// requested settings, or all others if `requests` is empty.
+    ///
+    /// # Errors
+    /// [`TuneError`] for a controller that is not built in or has no settings, or an invalid setting or range.
+    pub fn parse(controller: &str, requests: &[SettingRequest]) -> Result<Self, TuneError> {
+        let initial =
+            ControllerSpec::parse(controller).ok_or_else(|| TuneError::NotBuiltIn(controller.to_owned()))??;
+        if initial.fields().is_empty() {
+            return Err(TuneError::NoSettings(initial.name()));
+        }
+        let fixed: Vec<&str> = controller.split(',').skip(1).filter_map(|word| word.split('=').next()).collect();
+        let mut searched = Vec::new();
+        for (index, (field, value)) in initial.values().enumerate() {
+            let requested: Vec<_> = requests.iter().filter(|request| request.name == field.name).collect();
+            let range = requested.iter().find_map(|request| request.range).unwrap_or(field.typical_range);
+            let (is_fixed, error) = (fixed.contains(&field.name), |problem| setting_error(field.name, problem));
+            if requested.len() > 1 {
+                return Err(error("is requested twice".to_owned()));
+            }
+            if is_fixed && !requested.is_empty() {
+                return Err(error("is fixed in the controller, and requested".to_owned()));
+            }
+            let [least, most] = field.range;
+            if !(least <= range[0] && range[0] < range[1] && range[1] <= most) {
+                return Err(error(format!("a range must be LOW..HIGH, with LOW below HIGH, in {least}..{most}")));
+            }
+            if !is_fixed && (requests.is_empty() || !requested.is_empty()) {
+                searched.push(SearchedSetting { field, range, index, initial: value });
+            }
+        }
+        let names = || initial.fields().iter().map(|field| field.name).collect::<Vec<_>>().join(", ");
+        let is_known = |request: &&SettingRequest| initial.fields().iter().any(|field| field.name == request.name);
+        if let Some(unknown) = requests.iter().find(|request| !is_known(request)) {
+            let problem = format!("is not a setting of {}: there are {}", initial.name(), names());
+            return Err(setting_error(&unknown.name, problem));
+        }
+        if searched.is_empty() {
+            return Err(TuneError::AllFixed(controller.to_owned()));
+        }
+        Ok(Self { initial, searched })
+    }
+
+    /// Returns the controller with the initial settings: the defaults, and those that are fixed.
+    #[must_use]
+    pub fn initial(&self) -> &ControllerSpec {
+        &self.initial
+    }
+
+    /// Returns the settings to search, in the order of the controller; at least one.
+    #[must_use]
+    pub fn searched(&self) -> &[SearchedSetting] {
+        &self.searched
+    }
+
+    pub(super) fn cube(&self) -> Result<UnitCube, EmptyBlock> {
+        UnitCube::new(self.searched.iter().map(|_| 1))
+    }
+
+    /// Returns the controller at a point of the cube.
+    pub(super) fn controller_at(&self, point: &[f64]) -> ControllerSpec {
+        let mut controller = self.initial.clone();
+        for (setting, &coordinate) in self.searched.iter().zip(point) {
+            if let Some(value) = controller.get_mut(setting.index) {
+                *value = setting.value(coordinate);
+            }
+        }
+        controller
+    }
+}
+
+fn setting_error(setting: &str, problem: String) -> TuneError {
+    TuneError::Setting { setting: setting.to_owned(), problem }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Every point is a controller whose text names it, in the ranges, with the initial settings at the centre.
+        #[test]
+        fn every_point_is_a_valid_controller(coordinates in prop::collection::vec(0.0..=1.0f64, 20)) {
+            for spec in ControllerSpec::all().iter().filter(|spec| !spec.fields().is_empty()) {
+                let search = SettingSearch::parse(spec.name(), &[]).unwrap();
+                let point = &coordinates[..search.searched().len()];
+                let found = search.controller_at(point);
+                prop_assert_eq!(ControllerSpec::parse(&found.to_arg()), Some(Ok(found.clone())));
+                for ((field, value), setting) in found.values().zip(search.searched()) {
+                    prop_assert!((setting.range[0]..=setting.range[1]).contains(&value), "{}: {value}", field.name);
+                }
+                let [low, high] = [0.0, 1.0].map(|end| search.controller_at(&vec![end; point.len()]));
+                let centre = search.controller_at(&vec![0.5; point.len()]);
+                for (index, setting) in search.searched().iter().enumerate() {
+                    let at = |spec: &ControllerSpec| spec.values().nth(index).unwrap().1;
+                    prop_assert_eq!([at(&low), at(&high)], setting.range);
+                    let error = (at(&centre) - at(search.initial())).abs();
+                    let [from, to] = setting.range;
+                    let is_inside = from < at(search.initial()) && at(search.initial()) < to;
+                    prop_assert!(!is_inside || error <= 1e-3 * (to - from), "{}: {error}", setting.field.name);
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn requests_that_do_not_fit_are_named() {
+        let request = |name: &str, range| SettingRequest { name: name.to_owned(), range };
+        let refused = |controller: &str, requests: &[SettingRequest]| {
+            SettingSearch::parse(controller, requests).unwrap_err().to_string()
+        };
+        assert!(refused("policy", &[]).starts_with("`policy` has no settings to tune; the controllers with settings"));
+        assert!(refused("shield:idm", &[]).starts_with("`shield:idm` is not a built-in controller"));
+        assert!(refused("acc-aeb,ttc=1", &[]).starts_with("`ttc=1` is not a setting of acc-aeb"));
+        assert!(refused("acc-aeb", &[request("ttc", None)]).starts_with("ttc: is not a setting of acc-aeb: there are"));
+        let ttc = |range| request("ttc_s", Some(range));
+        assert!(refused("acc-aeb", &[ttc([2.0, 1.0])]).starts_with("ttc_s: a range must be LOW..HIGH"));
+        assert!(refused("acc-aeb", &[ttc([-1.0, 1.0])]).ends_with("in 0..100"));
+        assert!(refused("acc-aeb", &[ttc([0.0, f64::NAN])]).contains("a range must be"));
+        assert!(refused("acc-aeb", &[ttc([0.0, 1.0]), ttc([0.0, 1.0])]).ends_with("is requested twice"));
+        assert!(refused("acc-aeb,ttc_s=2", &[ttc([0.0, 1.0])]).starts_with("ttc_s: is fixed in the controller"));
+        let search = SettingSearch::parse("acc-aeb", &[ttc([1.0, 2.0])]).unwrap();
+        assert_eq!(search.controller_at(&[1.0]).to_arg(), "acc-aeb,ttc_s=2");
+    }
+}
