@@ -8,30 +8,35 @@
 //! `.csv` is a table of earlier results, such as `reports/front.csv`, to include in the figure. `space=NAME` restricts
 //! the spaces; it may be repeated.
 //!
-//! Columns count random scenarios. `hard`: braking harder than 4 m/s² where less than 3 m/s² was necessary. `needless`:
-//! braking more than 2 m/s² harder than necessary. `beyond 2`: braking harder than 2 m/s² where at most 2 m/s² was
-//! necessary (`UnnecessaryBraking::from_trace_above_limit`). `harder`: braking harder than 2 m/s² for any reason, even
-//! for one step. The measure `measure::UnnecessaryBraking` defines necessary braking and counts braking of at least 0.2
-//! s.
+//! `seed=N` takes other random scenarios, `estimator=truth` shows the true state to the controllers, and `follower=`
+//! changes the vehicle behind: `later` reacts 0.5 s later, `softer` brakes with 0.7 times its deceleration, and
+//! `unaware` never brakes.
+//!
+//! Columns count random scenarios; the brackets have exact 95 % bounds in percent. `hard`: braking harder than 4 m/s²
+//! where less than 3 m/s² was necessary. `needless`: braking more than 2 m/s² harder than necessary. The measure
+//! `measure::UnnecessaryBraking` defines necessary braking and counts braking of at least 0.2 s. The last table has the
+//! gain of a line of five: the change of speed of the last vehicle relative to that of the leader, which slows down.
 
 use std::path::Path;
 
 use crate::ExperimentError;
+use crumple::evidence::RateInterval;
 use crumple::report::draw::{
     Anchor, Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, PixelRect, Svg,
 };
-use crumple::world::measure::{UnnecessaryBraking, UsefulnessMeasures};
+use crumple::world::measure::{SpeedAmplification, UsefulnessMeasures};
 use crumple::world::observation::EstimatorKind;
 use crumple::world::scenario::space::{BUILT_IN_SPACES, built_in_space};
-use crumple::world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
+use crumple::world::scenario::{Driver, LeadProfile, SPEED_DIP_ONSET_S, Scenario, speed_dip};
+use crumple::world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 
 const SEED: u64 = 0x626f_7468;
 /// Scenarios simulated at once: each keeps its trace.
 const BLOCK: u64 = 100;
 /// Maximum number of random scenarios of each space: a day's work.
 const MAX_DRAWS: u64 = 1_000_000;
-/// Limit of braking that needs no reason behind a leader that never brakes, in m/s².
-const FIRM_BRAKE_MPS2: f64 = 2.0;
+/// Initial time gap of the line of five, in seconds.
+const TIME_GAP_S: f64 = 1.5;
 
 #[derive(Default)]
 struct SpaceTotals {
@@ -39,8 +44,6 @@ struct SpaceTotals {
     leader_contacts: u64,
     hard: u64,
     unnecessary: u64,
-    beyond_firm: u64,
-    firm: u64,
     fell_behind: u64,
     squares: [f64; 2],
     progress: Vec<f64>,
@@ -78,6 +81,37 @@ struct SpaceComparisonArgs {
     spaces: Vec<&'static str>,
     seed: u64,
     estimator: EstimatorKind,
+    follower: FollowerChange,
+}
+
+/// Change of the vehicle behind.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum FollowerChange {
+    None,
+    Later,
+    Softer,
+    Unaware,
+}
+
+impl FollowerChange {
+    fn apply(self, scenario: Scenario) -> Result<Scenario, ExperimentError> {
+        if self == Self::None {
+            return Ok(scenario);
+        }
+        let mut spec = scenario.spec().clone();
+        if let Some(behind) = spec.vehicles.get_mut(2) {
+            match self {
+                Self::None => {}
+                Self::Later => behind.reaction_delay_s += 0.5,
+                Self::Softer => {
+                    behind.max_brake_mps2 =
+                        behind.max_brake_mps2.or(Some(behind.class.max_brake_mps2())).map(|mps2| 0.7 * mps2)
+                }
+                Self::Unaware => behind.driver = Driver::Profile(LeadProfile::ConstantSpeed),
+            }
+        }
+        Ok(Scenario::new(spec)?)
+    }
 }
 
 impl SpaceComparisonArgs {
@@ -89,12 +123,19 @@ impl SpaceComparisonArgs {
         };
         let (mut controllers, mut figures, mut spaces) = (Vec::new(), Vec::new(), Vec::new());
         let mut measured_before = Vec::new();
-        let (mut seed, mut estimator) = (SEED, EstimatorKind::Kalman);
+        let (mut seed, mut estimator, mut follower) = (SEED, EstimatorKind::Kalman, FollowerChange::None);
         for argument in arguments {
             if let Some(number) = argument.strip_prefix("seed=") {
                 seed = number.parse().map_err(|_| format!("`{number}` is no seed"))?;
             } else if argument == "estimator=truth" {
                 estimator = EstimatorKind::Truth;
+            } else if let Some(name) = argument.strip_prefix("follower=") {
+                follower = match name {
+                    "later" => FollowerChange::Later,
+                    "softer" => FollowerChange::Softer,
+                    "unaware" => FollowerChange::Unaware,
+                    other => return Err(format!("`{other}` is no change of the follower").into()),
+                };
             } else if let Some(name) = argument.strip_prefix("space=") {
                 let known = BUILT_IN_SPACES.iter().find(|(known, ..)| *known == name);
                 spaces.push(known.ok_or_else(|| format!("there is no built-in space `{name}`"))?.0);
@@ -120,18 +161,18 @@ impl SpaceComparisonArgs {
         {
             return Err(format!("a figure needs the space `{missing}`").into());
         }
-        Ok(Self { draws, controllers, figures, measured_before, spaces, seed, estimator })
+        Ok(Self { draws, controllers, figures, measured_before, spaces, seed, estimator, follower })
     }
 }
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
-    let SpaceComparisonArgs { draws, controllers, figures, measured_before, spaces, seed, estimator } =
+    let SpaceComparisonArgs { draws, controllers, figures, measured_before, spaces, seed, estimator, follower } =
         SpaceComparisonArgs::parse(arguments.iter().cloned())?;
     println!(
-        "| space | controller | contacts | into the leader | hard | needless | beyond 2 | harder | left behind | rms \
-         a | rms jerk | progress | time gap s | imposed |"
+        "| space | controller | contacts | into the leader | hard | needless | left behind | rms a | rms jerk | progress \
+         | time gap s | imposed |"
     );
-    println!("|---|---|---|---|---|---|---|---|---|---|---|---|---|---|");
+    println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
     let mark_of = |NamedController { name, .. }: &NamedController| ParetoPoint {
         name: Path::new(name).file_stem().map_or(name.as_str().into(), |stem| stem.to_string_lossy()).into_owned(),
         jerk_mps3: 0.0,
@@ -142,19 +183,20 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     for space in spaces {
         for (controller, mark) in controllers.iter().zip(&mut front) {
             let name = &controller.name;
-            let sums = simulate_draws(space, controller, draws, seed, estimator)?;
+            let sums = simulate_draws(space, controller, draws, seed, (estimator, follower))?;
             let n = draws as f64;
             let mean = |of: &[f64]| of.iter().sum::<f64>() / of.len().max(1) as f64;
             let rms_jerk_mps3 = (sums.squares[1] / n).sqrt();
+            let bounds = RateInterval::clopper_pearson(sums.contacts, draws, 0.95);
             println!(
-                "| {space} | {name} | {} | {} | {} | {} | {} | {} | {} | {:.2} | {rms_jerk_mps3:.2} | {:.3} | {:.2} | \
-                 {:.2} |",
+                "| {space} | {name} | {} ({:.2} to {:.2}) | {} | {} | {} | {} | {:.2} | {rms_jerk_mps3:.3} | {:.3} | {:.2} \
+                 | {:.2} |",
                 sums.contacts,
+                100.0 * bounds.lower,
+                100.0 * bounds.upper,
                 sums.leader_contacts,
                 sums.hard,
                 sums.unnecessary,
-                sums.beyond_firm,
-                sums.firm,
                 sums.fell_behind,
                 (sums.squares[0] / n).sqrt(),
                 mean(&sums.progress),
@@ -167,6 +209,16 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
                 _ => {}
             }
         }
+    }
+    println!("\n| controller | gain of a line of five |\n|---|---|");
+    let line = speed_dip(5, TIME_GAP_S)?;
+    for controller in &controllers {
+        let options = RunOptions::new(controller.kind.clone()).with_estimator(estimator);
+        let run = simulate(&Run::new(&line, options)?, RecordingLevel::Trace);
+        let found = run.trace.as_ref().filter(|_| run.outcome.is_safe());
+        let found = found.and_then(|trace| SpeedAmplification::from_trace(trace, SPEED_DIP_ONSET_S));
+        let gain = found.map_or("none".to_owned(), |found| format!("{:.2}", found.overall));
+        println!("| {} | {gain} |", controller.name);
     }
     front.extend(measured_before);
     for file in figures {
@@ -206,41 +258,27 @@ fn draw_front(front: &[ParetoPoint], draws: u64) -> Svg {
     )
 }
 
-/// Braking harder than [`FIRM_BRAKE_MPS2`] in a run.
-struct FirmBraking {
-    /// True if no more than that was necessary.
-    is_unnecessary: bool,
-    /// True for any reason.
-    is_present: bool,
-}
-
 fn simulate_draws(
     space: &str,
     controller: &NamedController,
     draws: u64,
     seed: u64,
-    estimator: EstimatorKind,
+    (estimator, follower): (EstimatorKind, FollowerChange),
 ) -> Result<SpaceTotals, ExperimentError> {
     let space = built_in_space(space).ok_or("no such space")?;
     let options = RunOptions::new(controller.kind.clone()).with_estimator(estimator);
     let mut sums = SpaceTotals::default();
     for from in (0..draws).step_by(BLOCK as usize) {
-        let scenarios =
-            (from..draws.min(from + BLOCK)).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
+        let scenarios = (from..draws.min(from + BLOCK))
+            .map(|index| follower.apply(space.draw(seed, index)?))
+            .collect::<Result<Vec<_>, _>>()?;
         let runs = scenarios.iter().map(|one| Run::new(one, options.clone())).collect::<Result<Vec<_>, _>>()?;
         let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| {
             let useful =
                 result.trace.as_ref().and_then(|trace| UsefulnessMeasures::from_trace(trace, &result.impacts, 1));
-            let firm = result.trace.as_ref().map(|trace| FirmBraking {
-                is_unnecessary: UnnecessaryBraking::from_trace_above_limit(FIRM_BRAKE_MPS2, trace, &result.impacts, 1)
-                    .is_some_and(|beyond| !beyond.is_empty()),
-                is_present: trace.vehicles[1].acceleration_mps2.iter().any(|&mps2| mps2 < -FIRM_BRAKE_MPS2),
-            });
-            (result.outcome.contact().copied(), useful, firm)
+            (result.outcome.contact().copied(), useful)
         });
-        for (contact, useful, firm) in results {
-            sums.beyond_firm += u64::from(firm.as_ref().is_some_and(|firm| firm.is_unnecessary));
-            sums.firm += u64::from(firm.is_some_and(|firm| firm.is_present));
+        for (contact, useful) in results {
             sums.contacts += u64::from(contact.is_some());
             sums.leader_contacts += u64::from(contact.is_some_and(|contact| contact.front_vehicle == 0));
             let Some(useful) = useful else { continue };

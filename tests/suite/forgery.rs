@@ -216,8 +216,8 @@ fn genuine_certificates() -> Vec<GenuineCertificate> {
         ["idm", "acc-aeb"].map(|law| reach_certificate(Policy::reference(), &format!("follower_drives = \"{law}\"\n"))),
     );
     // A residual policy.
-    let road = Policy::load(&controller_corpus().join("../policy/road.safetensors")).expect("there");
-    all.push(reach_certificate(std::sync::Arc::new(road), ""));
+    let residual = Policy::load(&controller_corpus().join("../policy/residual.safetensors")).expect("there");
+    all.push(reach_certificate(std::sync::Arc::new(residual), ""));
     all.extend([cruise_certificate(1), cruise_certificate(2)]);
     let kernel = |(_, certificate)| GenuineCertificate { certificate, policy: None, scenario: None };
     all.extend(shipped_kernels().into_iter().take(2).map(kernel));

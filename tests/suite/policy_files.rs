@@ -10,8 +10,8 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 #[test]
 fn the_checker_refuses_all_policy_files_that_the_simulator_refuses() {
     // One of them is a residual policy.
-    let road = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/policy/road.safetensors")).unwrap();
-    let genuine = [Policy::reference_bytes(), Policy::retrained_bytes(), &road];
+    let residual = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/policy/residual.safetensors")).unwrap();
+    let genuine = [Policy::reference_bytes(), Policy::retrained_bytes(), &residual];
     let (mut refused, mut accepted) = (0, 0);
     for seed in 0..6000 {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);

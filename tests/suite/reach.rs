@@ -220,9 +220,9 @@ fn runs_of_external_networks_stay_within_proved_bounds() {
 /// zones.
 #[test]
 fn runs_of_residual_policies_stay_within_proved_bounds() {
-    let road = Policy::load(&controller_corpus().join("../policy/road.safetensors")).unwrap();
+    let committed = Policy::load(&controller_corpus().join("../policy/residual.safetensors")).unwrap();
     compare_controllers(32, |seed, random| {
-        let (mut header, mut network) = (road.header().clone(), road.network().clone());
+        let (mut header, mut network) = (committed.header().clone(), committed.network().clone());
         if seed % 4 > 0 {
             let residual = header.action.residual_over.as_mut().expect("it departs");
             residual.dead_zone = random.random_range(0.0..0.9);

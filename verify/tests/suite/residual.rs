@@ -95,7 +95,7 @@ fn verified_boxes_survive_search() {
 /// The check reads the base controller, which the statement omits, and adds it to the scope.
 #[test]
 fn the_base_controller_is_printed_with_the_scope() {
-    let bytes = policy_bytes("road");
+    let bytes = policy_bytes("residual");
     let residual = NeuralController::from_bytes(&bytes).unwrap().residual_over.unwrap();
     let claim = ReachClaim {
         policy_sha256: sha256(&bytes),
@@ -126,7 +126,7 @@ fn the_base_controller_is_printed_with_the_scope() {
 /// stops.
 #[test]
 fn a_box_of_a_learned_policy_survives_search() {
-    let controller = NeuralController::from_bytes(&policy_bytes("road")).unwrap();
+    let controller = NeuralController::from_bytes(&policy_bytes("residual")).unwrap();
     let mut ranges = paper_box(0.007, 0.002);
     ranges.follower_brake_mps2 = Interval::new(5.998, 6.002).unwrap();
     ranges.onset_steps = Interval::new(124.75, 125.25).unwrap();

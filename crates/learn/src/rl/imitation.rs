@@ -10,11 +10,12 @@ use serde::{Deserialize, Serialize};
 
 use super::adam::Adam;
 use super::config_error::{TrainingConfigError, check_range};
-use super::environment::{EpisodeConstants, EpisodeEnding, TrainingEpisode};
+use super::environment::{EpisodeConstants, EpisodeEnding, TrainingEpisode, action_bounds};
 use super::privileged::has_unaware_follower;
 use super::serde_helpers::{deserialize_f32_no_underflow, is_default};
 use super::trainer::{Trainer, TrainingError};
 use crumple_world::control::ControllerSpec;
+use crumple_world::measure::EASY_BRAKE_MPS2;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::{FrameStack, Policy, Workspace};
 use crumple_world::random::{self, Purpose};
@@ -52,10 +53,10 @@ pub struct ImitationConfig {
     /// loss. Keeps noise of the observations out of the actions; 0 for none.
     #[serde(default, skip_serializing_if = "is_default", deserialize_with = "deserialize_f32_no_underflow")]
     pub change_weight: f32,
-    /// Weight of unnecessary braking in spaces whose `costs_times` is above 1: where the driving policy brakes harder
-    /// than the expert, `costs_times` - 1 is multiplied by 1 + this times the squared difference of the actions.
+    /// Weight of hard braking in spaces whose `costs_times` is above 1: of the squared difference by which the policy
+    /// brakes harder than the expert and than [`EASY_BRAKE_MPS2`], relative to the loss; 0 for none.
     #[serde(default, skip_serializing_if = "is_default", deserialize_with = "deserialize_f32_no_underflow")]
-    pub overbraking_weight: f32,
+    pub hard_brake_weight: f32,
     /// Weight of the mean squared difference in the actor's loss in the first episode of reinforcement learning
     /// (Fujimoto and Gu, 2021, with a factor that decays).
     #[serde(deserialize_with = "deserialize_f32_no_underflow")]
@@ -103,6 +104,8 @@ struct Rows {
     actions: Vec<f32>,
     /// Factor on the loss of each row.
     weights: Vec<f32>,
+    /// Least action of each row that is not hard braking; -1 where hard braking costs nothing.
+    hard_actions: Vec<f32>,
     /// True for the last decision of an episode.
     is_last: Vec<bool>,
     contacts: u64,
@@ -120,13 +123,14 @@ pub(super) struct ImitationBatch {
     pub(super) next_actions: Vec<f32>,
     /// Factors on the loss.
     pub(super) weights: Vec<f32>,
+    /// Least actions that are not hard braking; -1 where hard braking costs nothing.
+    pub(super) hard_actions: Vec<f32>,
 }
 
 impl ImitationBatch {
     fn clear(&mut self) {
-        for array in [&mut self.states, &mut self.actions, &mut self.next_actions, &mut self.weights] {
-            array.clear();
-        }
+        let Self { states, actions, next_actions, weights, hard_actions } = self;
+        [states, actions, next_actions, weights, hard_actions].into_iter().for_each(Vec::clear);
     }
 }
 
@@ -154,7 +158,7 @@ impl ImitationConfig {
             ("batch", self.batch as f64, [1.0, 65_536.0]),
             ("rate", f64::from(self.rate), [0.0, 1.0]),
             ("change_weight", f64::from(self.change_weight), [0.0, 1e6]),
-            ("overbraking_weight", f64::from(self.overbraking_weight), [0.0, 1e6]),
+            ("hard_brake_weight", f64::from(self.hard_brake_weight), [0.0, 1e6]),
             ("weight", f64::from(self.weight), [0.0, 1e6]),
             ("weight_decay", self.weight_decay, [0.0, 1.0]),
         ] {
@@ -217,6 +221,7 @@ impl Trainer {
     ) -> Result<(), TrainingError> {
         let constants = EpisodeConstants::new(self.config.environment.clone(), self.config.learning.discount);
         let seed = random::derived_seed(self.seed, SEED_INDEX);
+        let hard_action = action_bounds(&self.config.environment).action(-EASY_BRAKE_MPS2);
         while (rows.actions.len() as u64) < wanted {
             let episodes = rows.episodes..rows.episodes + EPISODES_AT_ONCE;
             let driven = episodes.into_par_iter().map(|index| {
@@ -225,16 +230,18 @@ impl Trainer {
                     RunOptions::new(imitation.expert_in(&scenario)?).with_estimator(self.config.environment.estimator);
                 let run = Run::new(&scenario, options)?;
                 let episode = TrainingEpisode::new(&run, &constants).with_expert(imitation.expert_estimator);
-                let costs_times = self.source.cost_multiplier(seed, index) as f32;
+                let weight = self.source.cost_multiplier(seed, index) as f32;
                 let mut rows = drive(episode, driver);
-                let of_mistakes = imitation.overbraking_weight * (costs_times - 1.0).max(0.0);
-                rows.weights.iter_mut().for_each(|excess| *excess = costs_times + of_mistakes * *excess * *excess);
+                rows.weights.resize(rows.actions.len(), weight);
+                let hard = if weight > 1.0 { hard_action } else { -1.0 };
+                rows.hard_actions.extend(rows.actions.iter().map(|action| action.min(hard)));
                 Ok(rows)
             });
             for of_episode in driven.collect::<Result<Vec<_>, TrainingError>>()? {
                 rows.states.extend(of_episode.states);
                 rows.actions.extend(of_episode.actions);
                 rows.weights.extend(of_episode.weights);
+                rows.hard_actions.extend(of_episode.hard_actions);
                 rows.is_last.extend(of_episode.is_last);
                 rows.contacts += of_episode.contacts;
             }
@@ -242,6 +249,7 @@ impl Trainer {
         }
         rows.actions.truncate(wanted as usize);
         rows.weights.truncate(wanted as usize);
+        rows.hard_actions.truncate(wanted as usize);
         rows.is_last.truncate(wanted as usize);
         if let Some(last) = rows.is_last.last_mut() {
             *last = true;
@@ -268,6 +276,7 @@ impl Trainer {
                     sample.states.extend_from_slice(&rows.states[row * width..(row + 1) * width]);
                     sample.actions.push(rows.actions[row]);
                     sample.weights.push(rows.weights[row]);
+                    sample.hard_actions.push(rows.hard_actions[row]);
                 }
                 if imitation.change_weight > 0.0 {
                     for next in batch.iter().map(|&row| row + usize::from(!rows.is_last[row])) {
@@ -283,21 +292,20 @@ impl Trainer {
     }
 }
 
-/// Drives an episode and records the expert's actions; the weights are the excess of the policy's braking.
+/// Drives an episode and records the expert's actions.
 fn drive(mut episode: TrainingEpisode, driver: Option<&Policy>) -> Rows {
     let (mut past, mut space, mut rows) = (FrameStack::default(), Workspace::default(), Rows::default());
     loop {
         let state = episode.observe(&mut past);
         rows.states.extend_from_slice(state);
-        let action = driver.map(|policy| policy.choose(state, &mut space));
-        let outcome = match action {
-            Some(action) => episode.step(action),
+        let outcome = match driver {
+            Some(policy) => {
+                let action = policy.choose(state, &mut space);
+                episode.step(action)
+            }
             None => episode.step_by_expert(),
         };
-        let expert_action = outcome.expert_action.unwrap_or_default();
-        let overbraking = action.map_or(0.0, |action| (expert_action - action).max(0.0));
-        rows.actions.push(expert_action);
-        rows.weights.push(overbraking);
+        rows.actions.push(outcome.expert_action.unwrap_or_default());
         rows.is_last.push(outcome.ending != EpisodeEnding::None);
         if outcome.ending != EpisodeEnding::None {
             rows.contacts = u64::from(outcome.ending == EpisodeEnding::Contact);

@@ -205,8 +205,9 @@ impl Learner {
         sum
     }
 
-    /// Computes the gradient of the mean over the batch of w (loss(π(s) - e) + change · ((π(s') - π(s)) - (e' - e))²),
-    /// with the row's weight w and the expert's actions e. Returns n times that mean.
+    /// Computes the gradient of the mean over the batch of w (loss(π(s) - e) + hard · max(0, h - π(s))² + change ·
+    /// ((π(s') - π(s)) - (e' - e))²), with the row's weight w, the expert's actions e, and the row's least action h that
+    /// is not hard braking. Returns n times that mean.
     fn compute_imitation_gradient(&mut self, batch: &ImitationBatch, imitation: &ImitationConfig) -> f64 {
         let n = batch.actions.len() as f32;
         self.act(&batch.states);
@@ -214,12 +215,17 @@ impl Learner {
         let (actions, next_actions) = actions.split_at(batch.actions.len());
         value_gradients.clear();
         let mut sum = 0.0;
-        for ((&action, &wanted), &weight) in actions.iter().zip(&batch.actions).zip(&batch.weights) {
+        let hard_weight = imitation.hard_brake_weight;
+        let wanted = batch.actions.iter().zip(&batch.weights).zip(&batch.hard_actions);
+        for (&action, ((&wanted, &weight), &hard)) in actions.iter().zip(wanted) {
             let off = action - wanted;
-            let (cost, slope) = match imitation.loss {
+            let (mut cost, mut slope) = match imitation.loss {
                 ImitationLoss::Squared => (off * off, 2.0 * off),
                 ImitationLoss::Absolute => (off.abs(), if off == 0.0 { 0.0 } else { off.signum() }),
             };
+            let excess = (hard - action).max(0.0);
+            cost += hard_weight * excess * excess;
+            slope -= 2.0 * hard_weight * excess;
             sum += f64::from(weight * cost);
             value_gradients.push(weight * slope / n * (1.0 - action * action));
         }
@@ -351,6 +357,7 @@ mod tests {
             actions: numbers(4),
             next_actions: numbers(4),
             weights: vec![1.0, 3.0, 0.5, 2.0],
+            hard_actions: vec![-1.0, 0.9, 0.8, 0.9],
         };
         for loss in [ImitationLoss::Squared, ImitationLoss::Absolute] {
             let imitation = ImitationConfig { loss, ..imitation.clone() };

@@ -6,7 +6,6 @@ use serde::{Deserialize, Serialize};
 
 use super::gate::AssessmentGate;
 use super::planned_suite::SuiteConfig;
-use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::FileError;
 
@@ -22,11 +21,12 @@ pub const CONFIG_VERSION: u32 = 1;
 pub struct AssessConfig {
     /// Version of the file format: 1.
     pub version: u32,
-    /// Controllers to compare, the baseline first: built-in names or policy files. Default: all built-in ones, the
-    /// policy behind a shield, and the retrained policy.
-    #[serde(default = "all_controllers")]
+    /// Controllers to compare, the baseline first: built-in names or policy files. Default: `baseline`, `idm`,
+    /// `acc-aeb`, `predictive`, `policy`, `shield:policy` and `road`.
+    #[serde(default = "compared_controllers")]
     pub controllers: Vec<String>,
-    /// Controller that the safety case is about, one of `controllers`. Default: the first learned one, or the last.
+    /// Controller that the safety case is about, one of `controllers`. Default: `road` if it is one of
+    /// them, otherwise the first learned one, or the last.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub subject: Option<String>,
     /// Estimator of the vehicles under test. Default: the Kalman filter.
@@ -117,13 +117,11 @@ impl Default for RatesConfig {
     }
 }
 
-fn all_controllers() -> Vec<String> {
-    let compared = ControllerSpec::all().into_iter().filter(|spec| matches!(spec.role(), Role::Rule | Role::Learned));
-    let mut names: Vec<_> = compared.map(|spec| spec.name().to_owned()).collect();
-    // Put the shield next to the policy that it shields.
-    let place = names.iter().position(|name| name == "policy").map_or(names.len(), |place| place + 1);
-    names.insert(place, "shield:policy".to_owned());
-    names
+/// Controllers of the built-in report, the baseline first.
+const COMPARED: [&str; 7] = ["baseline", "idm", "acc-aeb", "predictive", "policy", "shield:policy", "road"];
+
+fn compared_controllers() -> Vec<String> {
+    COMPARED.map(str::to_owned).into()
 }
 
 fn default_true() -> bool {
@@ -157,10 +155,10 @@ impl AssessConfig {
 
 impl Default for AssessConfig {
     fn default() -> Self {
-        let (baseline, policy) = ("baseline".to_owned(), "policy".to_owned());
+        let (baseline, road) = ("baseline".to_owned(), "road".to_owned());
         Self {
             version: CONFIG_VERSION,
-            controllers: all_controllers(),
+            controllers: compared_controllers(),
             subject: None,
             estimator: EstimatorKind::default(),
             paper: default_true(),
@@ -175,8 +173,8 @@ impl Default for AssessConfig {
             rates: RatesConfig::default(),
             certificates: None,
             gates: vec![
-                AssessmentGate::NoContactInPaperScenarios { controller: policy.clone() },
-                AssessmentGate::RateNotAbove { controller: policy, than: baseline, space: None },
+                AssessmentGate::NoContactInPaperScenarios { controller: road.clone() },
+                AssessmentGate::RateNotAbove { controller: road, than: baseline, space: None },
                 AssessmentGate::ProofsAccepted {},
             ],
         }

@@ -218,7 +218,8 @@ fn default_subject(controllers: &[NamedController]) -> usize {
     let is_bare = |controller: &NamedController| {
         controller.kind.is_learned() && !matches!(controller.kind, ControllerKind::Shielded(_))
     };
-    controllers.iter().position(is_bare).unwrap_or(controllers.len().saturating_sub(1))
+    let road = controllers.iter().position(|controller| controller.name == "road");
+    road.or_else(|| controllers.iter().position(is_bare)).unwrap_or(controllers.len().saturating_sub(1))
 }
 
 fn shipped_certificates(controllers: &[NamedController]) -> Vec<GivenCertificate> {

@@ -52,8 +52,9 @@ pub struct FirstPage {
     comparison: ReportTable,
     #[serde(skip)]
     worst_failures: Vec<ScenarioCases>,
+    /// Table of safety and usefulness of all controllers, a sentence that explains it, and a figure.
     #[serde(skip)]
-    both_sides_figure: Option<Svg>,
+    both_sides: Option<(ReportTable, String, Svg)>,
 }
 
 const MAX_FAILURES_SHOWN: usize = 3;
@@ -114,7 +115,9 @@ impl FirstPage {
             gates: Vec::new(),
             comparison: summary.comparison_table(plan.subject_index),
             worst_failures: found.searches.worst_failures(subject, MAX_FAILURES_SHOWN),
-            both_sides_figure: found.usefulness.map(|usefulness| usefulness.figure("both-sides")),
+            both_sides: found.usefulness.map(|usefulness| {
+                (usefulness.both_sides_table(), usefulness.both_sides_note(), usefulness.figure("both-sides"))
+            }),
         }
     }
 }
@@ -289,6 +292,10 @@ impl ReportPart for FirstPage {
             out.table(&self.comparison);
             out.paragraph(COMPARISON_NOTE);
         }
+        if let Some((table, note, _)) = &self.both_sides {
+            out.table(table);
+            out.paragraph(note);
+        }
         out.push_html(html! { p { b { "Question: " } (prose_to_html(&self.question)) } });
         out.markdown_mut().paragraph(Inline::strong("Question:").and_prose(&format!(" {}", self.question)));
         if !self.gates.is_empty() {
@@ -304,7 +311,7 @@ impl ReportPart for FirstPage {
                     ul { @for line in lines { li { (prose_to_html(line)) } } @if lines.is_empty() { li { "none" } } }
                 }
             } }
-            @if let Some(sides) = &self.both_sides_figure {
+            @if let Some((_, _, sides)) = &self.both_sides {
                 h3 { "Safety and usefulness of each controller" }
                 p { "Collisions in dangerous scenarios and unnecessary braking in ordinary ones; further left is \
                     better." }

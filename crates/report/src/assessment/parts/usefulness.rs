@@ -16,7 +16,7 @@ use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, ReportPart, Rounded};
 use crate::draw::{Ink, Marker, Svg};
-use crumple_world::measure::{self, FollowingMeasures, UNNECESSARY_MARGIN_MPS2};
+use crumple_world::measure::{self, FollowingMeasures, HARD_BRAKE_MPS2, UNNECESSARY_MARGIN_MPS2};
 use crumple_world::scenario::space::{ScenarioSpace, built_in_space, built_in_space_summary, file as space_file};
 use crumple_world::scenario::{Scenario, speed_dip};
 use crumple_world::sim::{FailedControllerRuns, NamedController, RecordingLevel, RunOptions, SimulationResult};
@@ -259,6 +259,30 @@ impl UsefulnessReport {
             ("failures in high-risk (%)", &|one| ReportCell::number(one.high_risk_percent.observed)),
         ];
         ReportTable::from_items(&self.controllers, &columns)
+    }
+
+    /// The main results of both sides, for the first page.
+    pub(super) fn both_sides_table(&self) -> ReportTable {
+        let columns: [ReportColumn<'_, &ControllerUsefulness>; 8] = [
+            ("controller", &|one| ReportCell::text(&one.controller)),
+            ("failures in high-risk (%)", &|one| ReportCell::number(one.high_risk_percent.observed)),
+            ("in traffic", &|one| ReportCell::with_verdict(one.failures, one.failures == 0)),
+            ("unnecessary braking (%)", &|one| ReportCell::number(one.unnecessary_braking_percent.observed)),
+            ("hard", &|one| ReportCell::number(one.hard_braking)),
+            ("falls behind", &|one| ReportCell::number(one.left_behind)),
+            ("rms jerk (m/s³)", &|one| ReportCell::optional(one.rms_jerk_mps3)),
+            ("time gap (s)", &|one| ReportCell::optional(one.time_gap_s)),
+        ];
+        ReportTable::from_items(&self.controllers, &columns)
+    }
+
+    /// Explains the table of the first page.
+    pub(super) fn both_sides_note(&self) -> String {
+        format!(
+            "Both sides: {} random scenarios of each space (seed {}). Columns without a space are about `traffic`. \
+             Hard: unnecessary braking harder than {HARD_BRAKE_MPS2} m/s².",
+            self.random_scenarios, self.seed
+        )
     }
 
     /// The failures of both spaces by their kind.
