@@ -3,6 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
+use super::consistency::ColumnContradiction;
 use crate::scenario::{file::FileError, format_compact};
 
 /// An error of a recording. Parts that are merely dropped are [`super::DroppedItem`]s.
@@ -128,12 +129,17 @@ pub enum ColumnProblem {
         /// Text of the field.
         found: String,
     },
-    /// A field that is not a vehicle number.
-    #[error("must be a whole number from 0 to 4294967295, found `{found}`")]
-    NotWhole {
-        /// Text of the field.
+    /// A vehicle id that is too long.
+    #[error("must have at most {limit} bytes, found `{found}`")]
+    LongId {
+        /// Largest length, in bytes.
+        limit: usize,
+        /// Beginning of the field.
         found: String,
     },
+    /// A column that contradicts others, for which the map has probably a wrong unit or sign.
+    #[error("{0}; correct the map")]
+    Contradiction(ColumnContradiction),
     /// An empty field that the row requires.
     #[error("must not be empty")]
     Empty,

@@ -6,6 +6,7 @@
 //! and car-following events (pairs cut out of traffic recordings such as NGSIM). [`find_episodes`] finds the brakings
 //! of a [`Recording`]; [`import()`] converts each episode to a scenario and lists the dropped parts.
 
+mod consistency;
 mod dropped;
 mod episode;
 mod episodes;
@@ -24,14 +25,17 @@ mod platoons;
 mod preview;
 mod series;
 mod table;
+mod target_switches;
 #[cfg(test)]
 mod tests;
+mod tracks;
 mod traffic;
 
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+pub use consistency::ColumnContradiction;
 pub use dropped::{DroppedItem, EpisodeProblem, Omission};
 pub use episode::{BrakingEpisode, CAR_LENGTH_M, EpisodeVehicle};
 pub use episodes::{FoundEpisodes, LeaderSelection, MinBrake, find_episodes};
@@ -44,7 +48,7 @@ use lead_vehicles::{LeadVehicle, PlatoonLead};
 use map::{Delimiter, LayoutSpec, RecordingMap, RecordingMapSpec};
 pub use preview::{HardestBraking, HardestBrakingResult, Preview, SpeedLine, hardest_braking, preview};
 use table::{CsvRow, RowReader};
-pub use traffic::RecordedTraffic;
+pub use tracks::RecordedTraffic;
 
 /// Largest plausible acceleration, in m/s²; larger values are measurement errors. Tyres on a dry road give little more
 /// than 1 g.

@@ -14,9 +14,10 @@ use std::io::Read;
 
 use csv::StringRecord;
 
+use super::consistency::{Comparison, Hypothesis};
 use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, RecordingError};
-use super::map::{PlatoonSpec, RecordingMapSpec};
+use super::map::{LengthUnit, PlatoonSpec, RecordingMapSpec, SpeedUnit};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
 use super::table::{CsvColumn, CsvRow, RowLimiter, RowReader, excerpt};
 use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat};
@@ -37,6 +38,7 @@ pub(super) fn read<R: Read>(
     let mut dropped = Vec::new();
     let lines_of_vehicles = layout.split(names, &header, &mut dropped)?;
 
+    let time_factor = layout.time.factor;
     let mut clock = Clock::new(layout.time);
     let mut extent = RowLimiter::new(&names.fields, 2 * layout.speeds.len());
     let series = |column: &CsvColumn, quantity| Series::new(column.clone(), quantity);
@@ -66,6 +68,25 @@ pub(super) fn read<R: Read>(
     for series in speeds.values().chain(gaps.values()) {
         series.report(table.path(), extent.rows, &mut dropped);
     }
+
+    let mut comparison = Comparison::default();
+    for (ahead, gap) in &gaps {
+        let (Some(leader), Some(follower)) = (speeds.get(ahead), speeds.get(&(ahead + 1))) else { continue };
+        comparison.restart();
+        let samples = time_s.iter().zip(&line).zip(&gap.values).zip(leader.values.iter().zip(&follower.values));
+        for (((&at_s, &line), &gap_m), (leader, follower)) in samples {
+            let rates_mps = leader.zip(*follower).map(|(leader, follower)| [leader, -follower]);
+            comparison.add((at_s, line), gap_m, rates_mps);
+        }
+    }
+    let (speed, spacing) = (&platoon.speed, &platoon.spacing);
+    let hypotheses: Vec<_> =
+        Hypothesis::units(&speed.column, (SpeedUnit::ALL, speed.unit.factor()), [false, true, true])
+            .chain(Hypothesis::units(&spacing.column, (LengthUnit::ALL, spacing.unit.factor()), [true, false, false]))
+            .chain(Hypothesis::times(&map.time, time_factor))
+            .collect();
+    let columns = [format!("the change of {}", spacing.column), format!("the difference of {}", speed.column)];
+    comparison.check(table, &speed.column, [&columns[0], &columns[1]], (&hypotheses, &mut dropped))?;
 
     for series in speeds.values_mut().chain(gaps.values_mut()) {
         if let Some((count, first)) = interpolate_holes(&mut series.values, &time_s, map.interpolate_s) {

@@ -155,17 +155,25 @@ pub struct PairsSpec {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct TracksSpec {
-    /// Column of vehicle numbers: whole, from 0.
+    /// Column of vehicle ids: whole numbers or text.
     pub vehicle: String,
     /// Column of lanes. Default: a single lane.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lane: Option<String>,
-    /// Column of positions along the road. Their change gives the direction of driving.
+    /// Column of positions along the road. Their change from row to row gives the direction of driving.
     pub position: PositionSpec,
     /// Column of speeds along the road; the sign does not matter.
     pub speed: SpeedSpec,
     /// Length of the vehicles.
     pub length: LengthSpec,
+    /// Lane ids that a vehicle has for less than this time, in seconds, are ignored. Default 0.5.
+    #[serde(default = "default_lane_blip_s")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 5.0)))]
+    pub lane_blip_s: f64,
+}
+
+fn default_lane_blip_s() -> f64 {
+    0.5
 }
 
 /// A column of speeds.

@@ -12,6 +12,9 @@ macro_rules! units {
         }
 
         impl $name {
+            /// Every unit as a map names it, with its size in metric units.
+            pub(in crate::recording) const ALL: &[(&'static str, f64)] = &[$(($written, $factor)),*];
+
             /// Returns the size of the unit in metric units.
             pub(in crate::recording) fn factor(self) -> f64 {
                 match self {
@@ -32,6 +35,8 @@ units! {
         Milliseconds = "ms": 1e-3;
         /// Microseconds.
         Microseconds = "us": 1e-6;
+        /// Nanoseconds.
+        Nanoseconds = "ns": 1e-9;
     }
 }
 
