@@ -15,7 +15,9 @@ const MIN_CHANGE_M: f64 = 0.3;
 const MIN_WINDOWS: usize = 5;
 /// Largest median error that noise explains: in m/s, and relative to the rates.
 const MAX_ERROR_MPS: f64 = 0.5;
-const MAX_RELATIVE_ERROR: f64 = 0.1;
+const MAX_RELATIVE_ERROR: f64 = 0.04;
+/// Largest relative error that a reason leaves; in noisy data it is larger.
+const MAX_EXPLAINED_ERROR: f64 = 0.15;
 /// An error without a reason is reported from this on: in m/s, and relative to the rates.
 const MIN_UNEXPLAINED_MPS: f64 = 1.5;
 const MIN_UNEXPLAINED: f64 = 0.5;
@@ -175,11 +177,17 @@ impl Comparison {
         if given_mps <= MAX_ERROR_MPS.max(MAX_RELATIVE_ERROR * scale_mps) {
             return None;
         }
-        let relative: Vec<f64> =
-            hypotheses.iter().map(|one| error(one.factors) / scale(one.factors).max(f64::MIN_POSITIVE)).collect();
+        // Relative errors of the hypotheses that leave only noise.
+        let relative = hypotheses.iter().map(|one| {
+            let (error_mps, scale_mps) = (error(one.factors), scale(one.factors).max(f64::MIN_POSITIVE));
+            let is_noise = error_mps <= MAX_ERROR_MPS.max(MAX_EXPLAINED_ERROR * scale_mps);
+            if is_noise { error_mps / scale_mps } else { f64::INFINITY }
+        });
+        let relative: Vec<f64> = relative.collect();
         let best = relative.iter().copied().fold(f64::INFINITY, f64::min);
+        let is_explained = best <= EXPLAINED_SHARE * given_mps / scale_mps;
         let offset_mps = median(&|window| difference(window, GIVEN));
-        let reason = if best <= EXPLAINED_SHARE * given_mps / scale_mps {
+        let reason = if is_explained {
             let explains = |(one, &error): (&'_ Hypothesis, &f64)| (error <= best + 0.03).then(|| one.reason.clone());
             Some(hypotheses.iter().zip(&relative).filter_map(explains).collect::<Vec<_>>().join(", or "))
         } else if median(&|window| (difference(window, GIVEN) - offset_mps).abs()) <= EXPLAINED_SHARE * given_mps {
@@ -189,7 +197,6 @@ impl Comparison {
         } else {
             return None;
         };
-        let is_explained = best <= EXPLAINED_SHARE * given_mps / scale_mps;
         let nearness = |window: &&&Window| (difference(window, GIVEN).abs() - given_mps).abs();
         let typical = windows.iter().min_by(|a, b| nearness(a).total_cmp(&nearness(b)))?;
         let (columns, rates_mps) = (columns.map(str::to_owned), typical.rates(GIVEN));
@@ -211,7 +218,8 @@ impl Comparison {
         let path = table.path().to_owned();
         if is_explained {
             let column = field.to_owned();
-            let problem = LineProblem::Column { column, problem: ColumnProblem::Contradiction(contradiction) };
+            let problem =
+                LineProblem::Column { column, problem: ColumnProblem::Contradiction(Box::new(contradiction)) };
             return Err(RecordingError::Line { path, line, problem });
         }
         dropped.push(DroppedItem { path, line, omission: Omission::ColumnsContradict(contradiction) });

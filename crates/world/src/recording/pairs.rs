@@ -14,7 +14,7 @@ use super::map::{LengthUnit, PairsSpec, RecordingMapSpec, Sign, SpeedSpec, Speed
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
 use super::table::{CsvColumn, CsvRow, RowLimiter, RowReader, excerpt};
 use super::target_switches::PairSamples;
-use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat};
+use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat, TextFormat};
 use crumple_core::digest::sha256;
 
 /// Largest contradiction of the three speeds due to rounding and filtering, in m/s.
@@ -37,6 +37,7 @@ pub(super) fn read<R: Read>(
     if extent.rows == 0 {
         return table.reject_cut_short("its first sample");
     }
+    let text = TextFormat { time: events.clock.detected(), ..table.format() };
     let (path, format) = (table.path().to_owned(), RecordingFormat::from_map(map));
     events.finish_event();
     let mut dropped = Vec::new();
@@ -61,7 +62,7 @@ pub(super) fn read<R: Read>(
         }
         dropped.push(first);
     }
-    Ok(Recording { path, format, platoons: events.platoons, traffic: None, dropped })
+    Ok(Recording { path, format, text, platoons: events.platoons, traffic: None, dropped })
 }
 
 /// Finished events, and the current one.
@@ -109,7 +110,7 @@ impl<'m> EventReader<'m> {
             column: pairs.event.as_ref().map(|name| CsvColumn::find(names, name, 1.0)).transpose()?,
             event: None,
             finished: HashMap::new(),
-            clock: Clock::new(CsvColumn::find_time(names, &map.time)?),
+            clock: Clock::find(names, &map.time)?,
             time_s: Vec::new(),
             line: Vec::new(),
             gap: series(&pairs.spacing.column, pairs.spacing.unit.factor(), ColumnQuantity::Gap)?,
@@ -164,7 +165,7 @@ impl<'m> EventReader<'m> {
 
     /// Rejects a row that continues an event after rows of others. A row that begins before the end of the earlier
     /// event starts another event of that name.
-    fn check_not_interleaved(&self, row: &CsvRow<'_>, event: &str) -> Result<(), RecordingError> {
+    fn check_not_interleaved(&mut self, row: &CsvRow<'_>, event: &str) -> Result<(), RecordingError> {
         let (Some(column), Some(&(last_s, last_line))) = (&self.column, self.finished.get(&sha256(event))) else {
             return Ok(());
         };

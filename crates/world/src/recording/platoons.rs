@@ -20,7 +20,7 @@ use super::error::{ColumnProblem, RecordingError};
 use super::map::{LengthUnit, PlatoonSpec, RecordingMapSpec, SpeedUnit};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
 use super::table::{CsvColumn, CsvRow, RowLimiter, RowReader, excerpt};
-use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat};
+use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat, TextFormat};
 
 /// Maximum number of vehicles of a platoon: ten times that of any published recording.
 const MAX_VEHICLES: usize = 200;
@@ -38,8 +38,7 @@ pub(super) fn read<R: Read>(
     let mut dropped = Vec::new();
     let lines_of_vehicles = layout.split(names, &header, &mut dropped)?;
 
-    let time_factor = layout.time.factor;
-    let mut clock = Clock::new(layout.time);
+    let mut clock = layout.time;
     let mut extent = RowLimiter::new(&names.fields, 2 * layout.speeds.len());
     let series = |column: &CsvColumn, quantity| Series::new(column.clone(), quantity);
     let mut speeds: BTreeMap<_, _> =
@@ -64,6 +63,8 @@ pub(super) fn read<R: Read>(
     if extent.rows == 0 {
         return table.reject_cut_short("its first sample");
     }
+    let text = TextFormat { time: clock.detected(), ..table.format() };
+    let time_factor = clock.column.factor;
     clock.report(&mut dropped);
     for series in speeds.values().chain(gaps.values()) {
         series.report(table.path(), extent.rows, &mut dropped);
@@ -111,6 +112,7 @@ pub(super) fn read<R: Read>(
     Ok(Recording {
         path: table.path().to_owned(),
         format: RecordingFormat::from_map(map),
+        text,
         platoons,
         traffic: None,
         dropped,
@@ -150,7 +152,7 @@ impl PlatoonHeader {
 }
 
 struct PlatoonColumns {
-    time: CsvColumn,
+    time: Clock,
     /// Speed columns by number of the vehicle.
     speeds: BTreeMap<usize, CsvColumn>,
     /// Spacing columns by number of the vehicle ahead.
@@ -164,9 +166,9 @@ impl PlatoonColumns {
         (map, platoon): (&RecordingMapSpec, &PlatoonSpec),
         names: &CsvRow<'_>,
     ) -> Result<Self, RecordingError> {
-        let time = CsvColumn::find_time(names, &map.time)?;
+        let time = Clock::find(names, &map.time)?;
         let (mut speeds, mut gaps) = (BTreeMap::new(), BTreeMap::new());
-        for (index, name) in names.fields.iter().enumerate().filter(|(index, _)| *index != time.index) {
+        for (index, name) in names.fields.iter().enumerate().filter(|(index, _)| *index != time.column.index) {
             let column = |factor| CsvColumn { name: excerpt(name), index, factor };
             let before = if let Some(number) = column_number(name, &platoon.speed.column) {
                 speeds.insert(number, column(platoon.speed.unit.factor()))

@@ -4,7 +4,7 @@ use super::dropped::Omission;
 
 /// Change of a gap that no noise explains, in metres.
 const MIN_SWITCH_M: f64 = 1.5;
-/// The same, relative to the median error of the event's gaps.
+/// Change that no noise explains, relative to the median error of the event's gaps.
 const MIN_SWITCH_ERRORS: f64 = 9.0;
 /// Allowance for changes of the speeds between two rows, in m/s².
 const SPEED_CHANGE_MPS2: f64 = 2.0;

@@ -10,7 +10,7 @@ use super::map::{LengthSpec, LengthUnit, RecordingMapSpec, SpeedUnit, TracksSpec
 use super::series::{Clock, ColumnQuantity, Series};
 use super::table::{CsvColumn, CsvRow, MAX_ROWS, RowLimiter, RowReader, excerpt};
 use super::tracks::{self, TrackPoint, TrackRules, VehicleId};
-use super::{RecordedTraffic, Recording, RecordingFormat};
+use super::{RecordedTraffic, Recording, RecordingFormat, TextFormat};
 
 const MAX_LANES: usize = 10_000;
 /// Longest id of a vehicle, in bytes.
@@ -22,7 +22,7 @@ pub(super) fn read<R: Read>(
     (map, spec): (&RecordingMapSpec, &TracksSpec),
     names: &CsvRow<'_>,
 ) -> Result<Recording, RecordingError> {
-    let clock = Clock::new(CsvColumn::find_time(names, &map.time)?);
+    let mut clock = Clock::find(names, &map.time)?;
     let vehicle = CsvColumn::find(names, &spec.vehicle, 1.0)?;
     let lane = spec.lane.as_ref().map(|name| CsvColumn::find(names, name, 1.0)).transpose()?;
     let series = |name: &str, factor, quantity| Ok(Series::new(CsvColumn::find(names, name, factor)?, quantity));
@@ -38,6 +38,10 @@ pub(super) fn read<R: Read>(
     while let Some(row) = table.next_row()? {
         limiter.check_row(row)?;
         let time_s = clock.read(row)?;
+        // SUMO writes a row without values for a time without vehicles.
+        if [vehicle.index, position.column.index, speed.column.index].iter().all(|&index| row.text(index).is_empty()) {
+            continue;
+        }
         let vehicle = vehicles.index(row, &vehicle)?;
         // A vehicle without a lane could be in any lane.
         let lane = lane.as_ref().map_or(Ok(0), |column| lanes.index(row, column))?;
@@ -55,6 +59,7 @@ pub(super) fn read<R: Read>(
     if limiter.rows == 0 {
         return table.reject_cut_short("its first sample");
     }
+    let text = TextFormat { time: clock.detected(), ..table.format() };
     let path = table.path();
     let mut dropped = Vec::new();
     for series in [Some(&position), Some(&speed), length.as_ref()].into_iter().flatten() {
@@ -82,6 +87,7 @@ pub(super) fn read<R: Read>(
     Ok(Recording {
         path: path.to_owned(),
         format: RecordingFormat::from_map(map),
+        text,
         platoons: Vec::new(),
         traffic: Some(traffic),
         dropped,

@@ -51,7 +51,7 @@ pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
 
 impl RecordingMapSpec {
     /// Returns every field that names a column, with the name.
-    fn columns(&self) -> Vec<(&'static str, &str)> {
+    pub(super) fn columns(&self) -> Vec<(&'static str, &str)> {
         let time = match &self.time {
             TimeSpec::Clock(clock) => ("time.clock.column", Some(&clock.column)),
             TimeSpec::Frames(frames) => ("time.frames.column", Some(&frames.column)),

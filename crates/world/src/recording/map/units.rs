@@ -1,4 +1,4 @@
-//! Units of the columns of recordings.
+//! Units of the columns of recordings, and marks in their text.
 
 use serde::{Deserialize, Serialize};
 
@@ -66,4 +66,40 @@ units! {
         /// Centimetres.
         Centimetres = "cm": 1e-2;
     }
+}
+
+/// A separator of columns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum Delimiter {
+    /// `,`
+    #[default]
+    Comma,
+    /// `;`
+    Semicolon,
+    /// Tab.
+    Tab,
+}
+
+impl Delimiter {
+    pub(in crate::recording) fn byte(self) -> u8 {
+        match self {
+            Self::Comma => b',',
+            Self::Semicolon => b';',
+            Self::Tab => b'\t',
+        }
+    }
+}
+
+/// A mark of decimals.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum DecimalMark {
+    /// `.`
+    #[default]
+    Point,
+    /// `,`
+    Comma,
 }

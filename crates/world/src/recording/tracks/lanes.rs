@@ -35,18 +35,13 @@ pub(super) fn remove_blips(points: &mut [TrackPoint], shortest_ms: i64) -> Optio
 
 /// Returns for each point whether the track has its lane for at least `shortest_ms` around it.
 fn lane_intervals(track: &[TrackPoint], shortest_ms: i64) -> Vec<bool> {
+    // The last row holds for a step; a longer absence shows nothing about the lane.
+    let steps = track.windows(2).filter_map(|pair| Some(pair.last()?.time_ms - pair.first()?.time_ms));
+    let step_ms = steps.min().unwrap_or(0);
     let mut is_stable = Vec::with_capacity(track.len());
     for interval in track.chunk_by(|a, b| a.lane == b.lane) {
-        let (from, to) = (is_stable.len(), is_stable.len() + interval.len());
-        let time_ms = |index: Option<usize>| index.and_then(|index| track.get(index)).map(|point| point.time_ms);
-        let (first_ms, last_ms) = (time_ms(Some(from)).unwrap_or(0), time_ms(Some(to - 1)).unwrap_or(0));
-        // The last row holds until the next one; a longer absence shows nothing about the lane.
-        let steps = [
-            time_ms(from.checked_sub(1)).map(|before| first_ms - before),
-            time_ms(Some(to)).map(|after| after - last_ms),
-        ];
-        let step_ms = steps.into_iter().flatten().min().unwrap_or(0);
-        is_stable.resize(to, last_ms - first_ms + step_ms >= shortest_ms);
+        let lasts_ms = interval.first().zip(interval.last()).map_or(0, |(first, last)| last.time_ms - first.time_ms);
+        is_stable.resize(is_stable.len() + interval.len(), lasts_ms + step_ms >= shortest_ms);
     }
     is_stable
 }

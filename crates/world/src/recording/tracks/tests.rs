@@ -164,12 +164,19 @@ fn vehicles_that_stand_have_the_direction_of_their_lane() {
             let jitter_m = if step == 119 { -0.01 } else { 0.0 };
             let standing = |id, front_m: f64| row(step, id, 1, low_end_m(front_m) + jitter_m, 0.0);
             let moving = row(step, 1, 1, low_end_m(x), sign * mps);
-            vec![moving, standing(2, 190.0), standing(3, 180.0), row(step, 9, 2, low_end_m(-x), -sign * mps)]
+            vec![
+                moving,
+                standing(2, 190.0),
+                standing(3, 180.0),
+                row(step, 9, if step == 60 { 1 } else { 2 }, low_end_m(-x), -sign * mps),
+            ]
         });
         let recording = read_rows(&rows);
         let [line] = &lines(&recording)[..] else { panic!("{:?}", lines(&recording)) };
         assert_eq!((line.len(), line[1].0, line[2]), (3, 2, (3, 5.5)), "{sign}");
-        assert_eq!(messages(&recording), "");
+        let blip =
+            "vehicle 9 has another lane for less than 0.5 s here; 1 such blips, in which vehicles keep their lane\n";
+        assert!(messages(&recording).ends_with(blip) && recording.dropped.len() == 1, "{}", messages(&recording));
     }
 }
 
@@ -230,6 +237,11 @@ fn columns_that_contradict_each_other_are_reported_with_the_reason() {
     assert!(message.ends_with("v looks like m/s: ratio 0.28; correct the map"), "{message}");
     let message = error(&MAP.replace("column = \"x\"", "column = \"x\", unit = \"ft\""));
     assert!(message.contains("x looks like m: ratio 0.30"), "{message}");
+    let in_feet: Vec<Row> =
+        rows.iter().cloned().map(|row| (row.0, row.1, row.2, row.3, row.4 / 0.3048, row.5)).collect();
+    let in_kmh = MAP.replace("column = \"v\"", "column = \"v\", unit = \"km/h\"");
+    let message = try_read(&text(&in_feet), &in_kmh).expect_err("contradicts").to_string();
+    assert!(message.contains("v looks like ft/s: ratio 0.91"), "{message}");
     let in_ms: Vec<Row> = rows.iter().cloned().map(|row| (1000 * row.0, row.1, row.2, row.3, row.4, row.5)).collect();
     let message = try_read(&text(&in_ms), MAP).expect_err("contradicts").to_string();
     assert!(message.contains("t looks like ms: ratio 1000"), "{message}");
