@@ -14,7 +14,16 @@ for event in range(int(sys.argv[1])):
     brake = 1.5 + random.gammavariate(2.0, 0.7)
     time_gap = random.lognormvariate(0.2, 0.4)
     follower = speed * random.gauss(1.0, 0.03)
+    def leader_at(now):
+        return max(speed - brake * min(max(now - 3.0, 0.0), 2.0), 0.0)
+
+    # The follower has its own speed until the leader brakes, and then that of the leader 0.3 s before.
+    gap = time_gap * follower + 2.0 * (follower - speed)
+    before = None
     for tenth in range(100):
         now = tenth / 10.0
-        leader = max(speed - brake * min(max(now - 3.0, 0.0), 2.0), 0.0)
-        print(f"{event},{now:.1f},{time_gap * follower:.3f},{follower:.3f},{leader - follower:.3f},{leader:.3f}")
+        leader, own = leader_at(now), follower if now < 3.0 else leader_at(now - 0.3)
+        if before is not None:
+            gap += 0.05 * (before + leader - own)
+        before = leader - own
+        print(f"{event},{now:.1f},{gap:.3f},{own:.3f},{leader - own:.3f},{leader:.3f}")

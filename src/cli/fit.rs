@@ -7,7 +7,7 @@ use std::path::PathBuf;
 use clap::{Args, value_parser};
 use serde_json::json;
 
-use super::import::{parse_min_brake, render_figure};
+use super::import::{load_map, parse_min_brake, render_figure};
 use super::output_folder::stage_unless_edited;
 use super::simulate::{OutputFormat, parse_path_ending_in};
 use super::{CliError, output, value_enums};
@@ -19,7 +19,6 @@ use crumple_evidence::fit::{
 };
 use crumple_report::figures;
 use crumple_store::disk::StagedFiles;
-use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{LeaderSelection, load};
 use crumple_world::scenario::space::file;
 
@@ -40,14 +39,14 @@ for each vehicle that is a car in some episodes and a lorry in others. At most 1
 
 Examples:
   crumple fit platoon.csv events.csv --out following.toml --plot following.svg
-  crumple fit 01_tracks.csv --map highd.toml --vehicles 3 --min-brake 2 --out three.toml
+  crumple fit 01_tracks.csv --map highd --vehicles 3 --min-brake 2 --out three.toml
   crumple verify rate --controller idm --space following.toml --runs 10000")]
 pub(super) struct Fit {
     /// Recordings
     #[arg(required = true, value_name = "RECORDING")]
     recordings: Vec<PathBuf>,
-    /// Map with the meanings of the recordings' columns, see docs/exchange.md
-    #[arg(long, value_name = "MAP.toml")]
+    /// Meanings of the columns: a file (docs/exchange.md), or openacc, highd, ngsim or sumo-fcd
+    #[arg(long, value_name = "MAP.toml|NAME")]
     map: Option<PathBuf>,
     /// Vehicles whose braking makes an episode
     #[arg(long, default_value = "any", value_parser = value_enums::one_of(value_enums::LEADERS))]
@@ -88,7 +87,7 @@ fn parse_space_path(path: &str) -> Result<PathBuf, String> {
 
 impl Fit {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        let map = self.map.as_deref().map(RecordingMap::load).transpose()?;
+        let map = self.map.as_deref().map(load_map).transpose()?;
         let taken = ExtractionConfig {
             vehicles: usize::from(self.vehicles),
             min_brake: parse_min_brake(self.min_brake)?,

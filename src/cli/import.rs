@@ -17,7 +17,7 @@ use crumple_report::figures;
 use crumple_store::disk::{DiskError, StagedFiles};
 use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{
-    ImportOptions, ImportResult, ImportedRecording, ImportedScenario, LeaderSelection, MinBrake, Preview,
+    ImportOptions, ImportResult, ImportedRecording, ImportedScenario, LeaderSelection, MinBrake, Preview, TextFormat,
     hardest_braking, import, load, preview,
 };
 
@@ -26,10 +26,11 @@ use crumple_world::recording::{
 #[command(after_long_help = "\
 Reads two formats, which it distinguishes by their first line: OpenACC CSV (speeds and bumper-to-bumper spacings of \
 a platoon), and car-following events (event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps). \
-For other formats, --map describes the columns. A braking episode is one in which a vehicle's speed drops by more \
-than --min-brake times one second within one second; that vehicle leads the scenario. Those behind it start at the \
-recorded gaps and speeds and are under test; only the last of three or more vehicles is driven by the baseline. \
-Without any episode the exit code is 1, and the hardest braking found is printed.
+For other formats, --map describes the columns, or names a built-in map. crumple detects how the text is written \
+(encoding, separators, decimal commas, ISO 8601 time stamps), and prints it. A braking episode is one in which a \
+vehicle's speed drops by more than --min-brake times one second within one second; that vehicle leads the scenario. \
+Those behind it start at the recorded gaps and speeds and are under test; only the last of three or more vehicles is \
+driven by the baseline. Without any episode the exit code is 1, and the hardest braking found is printed.
 
 A recording may have 5 million rows, 20 million speeds and gaps, 200 vehicles of a platoon or 100 000 events; \
 crumple refuses larger recordings and states the line. A map may have 64 KiB. An existing scenario file stays as it \
@@ -37,14 +38,14 @@ is if it is equal; if it differs, nothing is written without --force.
 
 Examples:
   crumple import platoon.csv --out episodes
-  crumple import 01_tracks.csv --map highd.toml --preview 01.svg
-  crumple import 01_tracks.csv --map highd.toml --min-brake 2 --out episodes")]
+  crumple import 01_tracks.csv --map highd --preview 01.svg
+  crumple import log.csv --map log.toml --min-brake 2 --out episodes")]
 pub(super) struct Import {
     /// Recordings
     #[arg(required = true, value_name = "RECORDING")]
     recordings: Vec<PathBuf>,
-    /// Map with the meanings of the recordings' columns, see docs/exchange.md
-    #[arg(long, value_name = "MAP.toml")]
+    /// Meanings of the columns: a file (docs/exchange.md), or openacc, highd, ngsim or sumo-fcd
+    #[arg(long, value_name = "MAP.toml|NAME")]
     map: Option<PathBuf>,
     /// Print and plot the interpretation of one recording; writes no scenario and ignores thresholds
     #[arg(
@@ -75,6 +76,7 @@ pub(super) struct Import {
 struct RecordingSummary<'a> {
     recording: &'a str,
     format: &'a str,
+    text: String,
     leads: usize,
     samples: usize,
     time_s: [f64; 2],
@@ -97,6 +99,8 @@ struct ImportReport {
 struct RecordingImport {
     recording: String,
     format: String,
+    /// Detected encoding, and format of columns, numbers and times; empty for the defaults.
+    text: String,
     scenarios: usize,
     hardest_braking: String,
 }
@@ -106,6 +110,7 @@ impl ImportReport {
         let one = |source: &ImportedRecording| RecordingImport {
             recording: source.path.display().to_string(),
             format: source.format.name().to_owned(),
+            text: source.text.to_string(),
             scenarios: source.scenarios,
             hardest_braking: source.hardest.to_string(),
         };
@@ -118,9 +123,23 @@ impl ImportReport {
     }
 }
 
+/// Returns the built-in map of a name, or that of a file.
+pub(super) fn load_map(map: &Path) -> Result<RecordingMap, CliError> {
+    let built_in = map.to_str().and_then(RecordingMap::built_in);
+    Ok(built_in.unwrap_or_else(|| RecordingMap::load(map))?)
+}
+
 pub(super) fn parse_min_brake(asked_mps2: Option<f64>) -> Result<MinBrake, CliError> {
     let Some(mps2) = asked_mps2 else { return Ok(MinBrake::default()) };
     MinBrake::new(mps2).map_err(|error| CliError::Input(format!("--min-brake: {error}")))
+}
+
+/// Prints how a recording is written, as far as crumple detected it.
+fn note_text_format(path: &Path, text: &TextFormat, quiet: bool) {
+    let text = text.to_string();
+    if !text.is_empty() {
+        output::note(&format!("{}: detected {text}", path.display()), quiet);
+    }
 }
 
 pub(super) fn render_figure(drawn: &Svg, path: &Path) -> Result<Vec<u8>, CliError> {
@@ -132,7 +151,7 @@ pub(super) fn render_figure(drawn: &Svg, path: &Path) -> Result<Vec<u8>, CliErro
 
 impl Import {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        let map = self.map.as_deref().map(RecordingMap::load).transpose()?;
+        let map = self.map.as_deref().map(load_map).transpose()?;
         if let Some(picture) = &self.preview {
             return self.show_preview(picture, map.as_ref(), quiet);
         }
@@ -145,6 +164,7 @@ impl Import {
             return Err(CliError::Input("--preview: give only one recording".to_owned()));
         };
         let recording = load(path, map)?;
+        note_text_format(path, &recording.text, quiet);
         for dropped in &recording.dropped {
             output::note(&dropped.to_string(), quiet);
         }
@@ -160,6 +180,7 @@ impl Import {
             return output::print_json(&RecordingSummary {
                 recording: &name,
                 format: recording.format.name(),
+                text: recording.text.to_string(),
                 leads: seen.lead_vehicles,
                 samples: seen.samples,
                 time_s: seen.time_s,
@@ -194,6 +215,7 @@ impl Import {
     fn import(&self, map: Option<&RecordingMap>, quiet: bool) -> Result<(), CliError> {
         let (min_brake, leaders) = (parse_min_brake(self.min_brake)?, self.leaders);
         let imported = import(&self.recordings, map, &ImportOptions { min_brake, leaders })?;
+        imported.sources.iter().for_each(|source| note_text_format(&source.path, &source.text, quiet));
         if imported.scenarios.is_empty() {
             imported.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
             let words = imported.sources.iter().map(|one| format!("{}: {}", one.path.display(), one.hardest));

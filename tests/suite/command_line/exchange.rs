@@ -23,7 +23,7 @@ fn logged_pair_csv(brake_mps2: f64) -> String {
     let mut text = "t;v_ego;range;closing\n".to_owned();
     for k in 0..150 {
         let lost_mps = brake_mps2 * (f64::from(k) * 0.1 - 5.0).clamp(0.0, 3.0);
-        text += &format!("{};72;{};{lost_mps:.3}\n", 100 * k, 34.6);
+        text += &format!("{};{};34.6;0\n", 100 * k, 72.0 - 3.6 * lost_mps);
     }
     text
 }
@@ -92,6 +92,12 @@ fn damaged_maps_and_files_name_file_line_and_field() {
         assert_refused(&run_crumple(folder.path(), "import a.csv --map m.toml"), expected);
     }
     assert_refused(&run_crumple(folder.path(), "import a.csv --map none.toml"), "none.toml: ");
+    fs::write(folder.path().join("tracks.csv"), "frame;id;x;width;xVelocity;laneId\n0;1;2,5;4;20;1\n").unwrap();
+    let message = "tracks.csv:1: these are the columns of the built-in map `highd`: name it (--map highd)";
+    assert_refused(&run_crumple(folder.path(), "import tracks.csv"), message);
+    let short = run_crumple(folder.path(), "import tracks.csv --map highd");
+    let message = "tracks.csv: detected columns separated by semicolons, decimal commas";
+    assert!(exit_code(&short) == 1 && stderr(&short).starts_with(message), "{short:?}");
     fs::write(folder.path().join("m.toml"), format!("{map}#{}", " ".repeat(1 << 16))).unwrap();
     assert_refused(&run_crumple(folder.path(), "import a.csv --map m.toml"), "m.toml: holds more than 0 MiB");
 }

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::path::PathBuf;
 
+use super::consistency::ColumnContradiction;
 use crate::scenario::{InvalidField, format_compact};
 
 /// A part of a recording that is in no scenario.
@@ -107,11 +108,62 @@ pub enum Omission {
     /// Several rows of one vehicle at one time.
     #[error("vehicle {vehicle} is in two places at once here; of {count} such rows each first one is kept")]
     DuplicateRows {
-        /// Number of the vehicle.
-        vehicle: u32,
+        /// Id of the vehicle.
+        vehicle: String,
         /// Number of dropped rows.
         count: usize,
     },
+    /// Positions that start anew, and ids that are used again.
+    #[error(
+        "the position of vehicle {vehicle} starts anew here, or another vehicle has its id; of {count} such places \
+        each begins another track"
+    )]
+    TracksSplit {
+        /// Id of the vehicle at the first place.
+        vehicle: String,
+        /// Number of places.
+        count: usize,
+    },
+    /// Lane ids that hold only briefly.
+    #[error(
+        "vehicle {vehicle} has another lane for less than {limit_s} s here; {count} such blips, in which vehicles keep \
+        their lane"
+    )]
+    LaneBlips {
+        /// Id of the vehicle with the first blip.
+        vehicle: String,
+        /// Number of blips.
+        count: usize,
+        /// Limit of the map, in seconds.
+        limit_s: f64,
+    },
+    /// Neighbours that are not linked, because a vehicle without a row may be between them.
+    #[error(
+        "{count} times a vehicle that has rows before and after may be between two others, the first time here: they \
+        do not follow each other then"
+    )]
+    AbsentVehicles {
+        /// Number of occurrences.
+        count: usize,
+    },
+    /// Gaps whose change contradicts the closing speed.
+    #[error(
+        "the gap changes by {change_m:.1} m within {seconds:.2} s here, but the speeds by {driven_m:.1} m: the sensor \
+        switched to another target; of {count} such places each begins another pair"
+    )]
+    TargetSwitches {
+        /// Change of the gap at the first place, in metres.
+        change_m: f64,
+        /// Change by the relative speed, in metres.
+        driven_m: f64,
+        /// Time between the two rows, in seconds.
+        seconds: f64,
+        /// Number of places.
+        count: usize,
+    },
+    /// Columns that contradict each other.
+    #[error("{0}")]
+    ColumnsContradict(ColumnContradiction),
     /// Overlapping vehicles of one lane, which are not linked.
     #[error(
         "{count} times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows no vehicle \

@@ -112,7 +112,7 @@ impl EpisodeWindow<'_> {
         match self.build_episode(start) {
             Ok(episode) => found.episodes.push(episode),
             Err(why) => {
-                let (number, onset_s) = (self.lead.episode_vehicle(0.0).number, self.braking.onset_ms as f64 / 1000.0);
+                let (number, onset_s) = (self.lead.number(), self.braking.onset_ms as f64 / 1000.0);
                 let what = Omission::Episode { number, onset_s, reason: why };
                 found.dropped.push(DroppedItem {
                     path: recording.path.clone(),
@@ -166,7 +166,7 @@ impl EpisodeWindow<'_> {
             largest_drop_mps: self.braking.largest_drop_mps,
             hardest_brake_mps2,
             hardest_accel_mps2,
-            vehicles: [vec![self.lead.episode_vehicle(start.speed_mps)], followers].concat(),
+            vehicles: [vec![self.lead.episode_vehicle(start)], followers].concat(),
             ahead: self.lead.vehicle_ahead_at(start),
             not_recorded_behind,
             time_s: samples.iter().map(|sample| since_start_s(sample.time_ms)).collect(),

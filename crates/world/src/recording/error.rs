@@ -3,6 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
+use super::consistency::ColumnContradiction;
 use crate::scenario::{file::FileError, format_compact};
 
 /// An error of a recording. Parts that are merely dropped are [`super::DroppedItem`]s.
@@ -64,12 +65,17 @@ pub enum LineProblem {
     /// A first line of neither built-in format.
     #[error(
         "`{found}`: neither an OpenACC recording (which starts with `Date`) nor car-following events (which start with \
-        `event,time_s,gap_m,...`), both without quotation marks; any other format needs a map that describes its \
-        columns"
+        `event,time_s,gap_m,...`); any other format needs a map that describes its columns"
     )]
     UnknownFormat {
         /// First field of the line.
         found: String,
+    },
+    /// Columns of a format whose map the caller must name.
+    #[error("these are the columns of the built-in map `{map}`: name it (--map {map})")]
+    NeedsMap {
+        /// Name of the map.
+        map: &'static str,
     },
     /// A line that is not UTF-8, or far longer than any row of numbers.
     #[error("{0}")]
@@ -128,12 +134,23 @@ pub enum ColumnProblem {
         /// Text of the field.
         found: String,
     },
-    /// A field that is not a vehicle number.
-    #[error("must be a whole number from 0 to 4294967295, found `{found}`")]
-    NotWhole {
+    /// A field that is not a time stamp, in a column of them.
+    #[error("must be an ISO 8601 time stamp, as in the first row, found `{found}`")]
+    NotATime {
         /// Text of the field.
         found: String,
     },
+    /// A vehicle id that is too long.
+    #[error("must have at most {limit} bytes, found `{found}`")]
+    LongId {
+        /// Largest length, in bytes.
+        limit: usize,
+        /// Beginning of the field.
+        found: String,
+    },
+    /// A column that contradicts others, for which the map has probably a wrong unit or sign.
+    #[error("{0}; correct the map")]
+    Contradiction(Box<ColumnContradiction>),
     /// An empty field that the row requires.
     #[error("must not be empty")]
     Empty,

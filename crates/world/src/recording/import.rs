@@ -10,7 +10,7 @@ use super::episodes::{LeaderSelection, MinBrake, find_episodes};
 use super::error::RecordingError;
 use super::map::RecordingMap;
 use super::preview::{HardestBrakingResult, hardest_braking};
-use super::{Recording, RecordingFormat, load};
+use super::{Recording, RecordingFormat, TextFormat, load};
 
 const MAX_FILE_STEM_CHARS: usize = 100;
 
@@ -52,6 +52,8 @@ pub struct ImportedRecording {
     pub path: PathBuf,
     /// Format of the recording.
     pub format: RecordingFormat,
+    /// Encoding, and format of columns, numbers and times.
+    pub text: TextFormat,
     /// Number of scenarios.
     pub scenarios: usize,
     /// Hardest braking of the recording, even if it makes no scenario.
@@ -113,6 +115,7 @@ impl ImportResult {
         self.sources.push(ImportedRecording {
             path: recording.path.clone(),
             format: recording.format.clone(),
+            text: recording.text.clone(),
             scenarios: self.scenarios.len() - before,
             hardest: hardest_braking(recording),
         });

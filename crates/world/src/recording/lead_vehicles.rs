@@ -20,8 +20,10 @@ pub enum VehicleAhead {
 pub(super) trait LeadVehicle {
     /// Returns the segments of its motion without holes.
     fn segments(&self) -> Vec<Vec<SpeedSample>>;
-    /// Returns the vehicle itself at a speed.
-    fn episode_vehicle(&self, speed_mps: f64) -> EpisodeVehicle;
+    /// Returns the number of the vehicle.
+    fn number(&self) -> usize;
+    /// Returns the vehicle itself at a sample.
+    fn episode_vehicle(&self, sample: &SpeedSample) -> EpisodeVehicle;
     /// Returns the consecutive followers with known speeds and gaps at a sample, front to rear.
     fn followers_at(&self, sample: &SpeedSample) -> Vec<EpisodeVehicle>;
     /// Returns the speed of the next follower, if at least `followers` followers have known speeds and gaps.
@@ -55,8 +57,12 @@ impl LeadVehicle for PlatoonLead<'_> {
         platoon_segments(self.platoon, self.index)
     }
 
-    fn episode_vehicle(&self, speed_mps: f64) -> EpisodeVehicle {
-        self.episode_vehicle_at(self.index, 0.0, speed_mps)
+    fn number(&self) -> usize {
+        self.number_of(self.index).unwrap_or(0)
+    }
+
+    fn episode_vehicle(&self, sample: &SpeedSample) -> EpisodeVehicle {
+        self.episode_vehicle_at(self.index, 0.0, sample.speed_mps)
     }
 
     fn followers_at(&self, sample: &SpeedSample) -> Vec<EpisodeVehicle> {

@@ -6,6 +6,7 @@
 //! and car-following events (pairs cut out of traffic recordings such as NGSIM). [`find_episodes`] finds the brakings
 //! of a [`Recording`]; [`import()`] converts each episode to a scenario and lists the dropped parts.
 
+mod consistency;
 mod dropped;
 mod episode;
 mod episodes;
@@ -19,19 +20,26 @@ mod map_tests;
 mod motion;
 #[cfg(test)]
 mod motion_tests;
+mod number;
 mod pairs;
 mod platoons;
 mod preview;
 mod series;
 mod table;
+mod target_switches;
 #[cfg(test)]
 mod tests;
+mod text;
+#[cfg(test)]
+mod text_tests;
+mod tracks;
 mod traffic;
 
 use std::fs::File;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
+pub use consistency::ColumnContradiction;
 pub use dropped::{DroppedItem, EpisodeProblem, Omission};
 pub use episode::{BrakingEpisode, CAR_LENGTH_M, EpisodeVehicle};
 pub use episodes::{FoundEpisodes, LeaderSelection, MinBrake, find_episodes};
@@ -41,10 +49,11 @@ pub use import::{ImportOptions, ImportResult, ImportedRecording, ImportedScenari
 pub use lead_vehicles::VehicleAhead;
 
 use lead_vehicles::{LeadVehicle, PlatoonLead};
-use map::{Delimiter, LayoutSpec, RecordingMap, RecordingMapSpec};
+use map::{LayoutSpec, RecordingMap, RecordingMapSpec};
 pub use preview::{HardestBraking, HardestBrakingResult, Preview, SpeedLine, hardest_braking, preview};
 use table::{CsvRow, RowReader};
-pub use traffic::RecordedTraffic;
+pub use text::TextFormat;
+pub use tracks::RecordedTraffic;
 
 /// Largest plausible acceleration, in m/s²; larger values are measurement errors. Tyres on a dry road give little more
 /// than 1 g.
@@ -57,6 +66,8 @@ pub struct Recording {
     pub path: PathBuf,
     /// Format of the file.
     pub format: RecordingFormat,
+    /// Encoding, and format of columns, numbers and times.
+    pub text: TextFormat,
     /// Platoons of at least two vehicles without missing members.
     pub platoons: Vec<RecordedPlatoon>,
     /// Vehicles with changing neighbours, if the file holds tracks.
@@ -161,20 +172,28 @@ pub fn load(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, Record
 /// # Errors
 /// As [`load`].
 pub fn read(from: impl Read, path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
-    let mut table = RowReader::new(from, path, map.map_or(Delimiter::Comma, |map| map.spec().delimiter));
-    let Some(first) = table.next_row()?.cloned() else {
+    let mut table = RowReader::new(from, path, map.map(RecordingMap::spec))?;
+    let Some(first) = table.next_header()? else {
         return Err(RecordingError::Empty { path: path.to_owned() });
     };
     let built_in;
     let map = match map {
         Some(map) => map,
         None => {
-            built_in = match first.text(0) {
-                "Date" => RecordingMap::openacc(),
-                "event" => RecordingMap::car_following(),
-                other => first.reject_line(LineProblem::UnknownFormat { found: table::excerpt(other) }),
-            }?;
-            &built_in
+            let name = match first.text(0) {
+                "Date" => "openacc",
+                "event" => "car-following",
+                other => match RecordingMap::recognise(first.fields.iter()) {
+                    Some(map) => return first.reject_line(LineProblem::NeedsMap { map }),
+                    None => return first.reject_line(LineProblem::UnknownFormat { found: table::excerpt(other) }),
+                },
+            };
+            let map = RecordingMap::built_in(name).transpose();
+            built_in = map.map_err(|error| RecordingError::Map(Box::new(error)))?;
+            match &built_in {
+                Some(map) => map,
+                None => return first.reject_line(LineProblem::NeedsMap { map: name }),
+            }
         }
     };
     read_with_map(&mut table, map.spec(), first)
@@ -193,7 +212,7 @@ fn read_with_map<R: Read>(
         } else {
             "the names of its columns"
         };
-        let Some(next) = table.next_row()?.cloned() else { return table.reject_cut_short(expected) };
+        let Some(next) = table.next_header()? else { return table.reject_cut_short(expected) };
         names = next;
     }
     match &map.layout {

@@ -7,12 +7,14 @@ use std::collections::HashMap;
 use std::io::Read;
 use std::{iter, mem};
 
+use super::consistency::{Comparison, Hypothesis};
 use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, RecordingError};
-use super::map::{PairsSpec, RecordingMapSpec, Sign, SpeedSpec};
+use super::map::{LengthUnit, PairsSpec, RecordingMapSpec, Sign, SpeedSpec, SpeedUnit};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
 use super::table::{CsvColumn, CsvRow, RowLimiter, RowReader, excerpt};
-use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat};
+use super::target_switches::PairSamples;
+use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat, TextFormat};
 use crumple_core::digest::sha256;
 
 /// Largest contradiction of the three speeds due to rounding and filtering, in m/s.
@@ -35,6 +37,7 @@ pub(super) fn read<R: Read>(
     if extent.rows == 0 {
         return table.reject_cut_short("its first sample");
     }
+    let text = TextFormat { time: events.clock.detected(), ..table.format() };
     let (path, format) = (table.path().to_owned(), RecordingFormat::from_map(map));
     events.finish_event();
     let mut dropped = Vec::new();
@@ -49,14 +52,17 @@ pub(super) fn read<R: Read>(
         let what = Omission::Interpolated { column: column.to_owned(), count };
         dropped.push(DroppedItem { path: path.clone(), line, omission: what });
     }
+    events.check(table, &mut dropped)?;
     events.clock.report(&mut dropped);
+    let switches = events.switches.take();
+    dropped.extend(switches.map(|(line, omission)| DroppedItem { path: path.clone(), line, omission }));
     if let Some((mut first, rows)) = events.contradictions {
         if let Omission::SpeedsContradict { count, .. } = &mut first.omission {
             *count = rows;
         }
         dropped.push(first);
     }
-    Ok(Recording { path, format, platoons: events.platoons, traffic: None, dropped })
+    Ok(Recording { path, format, text, platoons: events.platoons, traffic: None, dropped })
 }
 
 /// Finished events, and the current one.
@@ -78,6 +84,11 @@ struct EventReader<'m> {
     followers_mps: Vec<Option<f64>>,
     leaders_mps: Vec<Option<f64>>,
     contradictions: Option<(DroppedItem, usize)>,
+    /// Changes of the gap against closing speeds, and closing speeds against both speeds.
+    gap_change: Comparison,
+    closing: Comparison,
+    /// Line of the first switch to another target, and all switches.
+    switches: Option<(u64, Omission)>,
     /// First line and number of interpolated spacings, follower speeds and leader speeds.
     interpolated: [Option<(u64, usize)>; 3],
 }
@@ -99,7 +110,7 @@ impl<'m> EventReader<'m> {
             column: pairs.event.as_ref().map(|name| CsvColumn::find(names, name, 1.0)).transpose()?,
             event: None,
             finished: HashMap::new(),
-            clock: Clock::new(CsvColumn::find_time(names, &map.time)?),
+            clock: Clock::find(names, &map.time)?,
             time_s: Vec::new(),
             line: Vec::new(),
             gap: series(&pairs.spacing.column, pairs.spacing.unit.factor(), ColumnQuantity::Gap)?,
@@ -109,6 +120,9 @@ impl<'m> EventReader<'m> {
             followers_mps: Vec::new(),
             leaders_mps: Vec::new(),
             contradictions: None,
+            gap_change: Comparison::default(),
+            closing: Comparison::default(),
+            switches: None,
             interpolated: [None; 3],
         })
     }
@@ -133,6 +147,14 @@ impl<'m> EventReader<'m> {
         let read = |series: &mut Option<Series>| series.as_mut().map_or(Ok(None), |series| series.read(row));
         let speeds = (read(&mut self.follower)?, read(&mut self.relative)?, read(&mut self.leader)?);
         let (follower_mps, leader_mps) = self.reconcile_speeds(row, speeds);
+        let rates_mps = match speeds {
+            (_, Some(relative), _) => Some([relative, 0.0]),
+            (follower, None, leader) => leader.zip(follower).map(|(leader, follower)| [leader, -follower]),
+        };
+        self.gap_change.add((now_s, row.line), gap_m, rates_mps);
+        if let (Some(follower), Some(relative), Some(leader)) = speeds {
+            self.closing.add_instant(row.line, [relative, leader, -follower]);
+        }
         self.time_s.push(now_s);
         self.line.push(row.line);
         self.gap.values.push(gap_m);
@@ -143,7 +165,7 @@ impl<'m> EventReader<'m> {
 
     /// Rejects a row that continues an event after rows of others. A row that begins before the end of the earlier
     /// event starts another event of that name.
-    fn check_not_interleaved(&self, row: &CsvRow<'_>, event: &str) -> Result<(), RecordingError> {
+    fn check_not_interleaved(&mut self, row: &CsvRow<'_>, event: &str) -> Result<(), RecordingError> {
         let (Some(column), Some(&(last_s, last_line))) = (&self.column, self.finished.get(&sha256(event))) else {
             return Ok(());
         };
@@ -184,6 +206,7 @@ impl<'m> EventReader<'m> {
     /// Converts the current event to a platoon.
     fn finish_event(&mut self) {
         self.clock.restart();
+        self.gap_change.restart();
         let Some(event) = self.event.take() else { return };
         let (time_s, line) = (mem::take(&mut self.time_s), mem::take(&mut self.line));
         if let (Some(&last_s), Some(&last_line)) = (time_s.last(), line.last()) {
@@ -198,10 +221,52 @@ impl<'m> EventReader<'m> {
             }
         }
         let [gaps_m, followers_mps, leaders_mps] = lists;
-        let vehicle =
-            |number, role: &str, speed_mps| RecordedVehicle { number, name: Some(role.to_owned()), speed_mps };
-        let vehicles = vec![vehicle(1, "leader", leaders_mps), vehicle(2, "follower", followers_mps)];
         let event = self.column.is_some().then(|| excerpt(&event));
-        self.platoons.push(RecordedPlatoon { event, time_s, line, vehicles, gaps_m: vec![gaps_m] });
+        let whole = PairSamples { time_s, line, gaps_m, followers_mps, leaders_mps };
+        for PairSamples { time_s, line, gaps_m, followers_mps, leaders_mps } in whole.split(&mut self.switches) {
+            let vehicle =
+                |number, role: &str, speed_mps| RecordedVehicle { number, name: Some(role.to_owned()), speed_mps };
+            let vehicles = vec![vehicle(1, "leader", leaders_mps), vehicle(2, "follower", followers_mps)];
+            let event = event.clone();
+            self.platoons.push(RecordedPlatoon { event, time_s, line, vehicles, gaps_m: vec![gaps_m] });
+        }
+    }
+
+    /// Compares the closing speed with both speeds, and the gap with the closing speed.
+    fn check<R: Read>(&self, table: &RowReader<'_, R>, dropped: &mut Vec<DroppedItem>) -> Result<(), RecordingError> {
+        let (map, pairs) = self.spec;
+        let name = |series: &Option<Series>| series.as_ref().map_or("", |one| &one.column.name).to_owned();
+        let (leader, follower, relative) = (name(&self.leader), name(&self.follower), name(&self.relative));
+        let difference = format!("{leader} - {follower}");
+        let units = |terms, column, given| Hypothesis::units(column, (SpeedUnit::ALL, given), terms);
+        let unit = |speed: &Option<SpeedSpec>| speed.as_ref().map_or(1.0, |speed| speed.unit.factor());
+        let (leader_unit, follower_unit) = (unit(&pairs.leader_speed), unit(&pairs.follower_speed));
+        let relative_unit = pairs.relative_speed.as_ref().map_or(1.0, |speed| speed.unit.factor());
+        let of_speeds = || {
+            let both = units([false, true, true], &difference, leader_unit).filter(|_| leader_unit == follower_unit);
+            let each = units([false, true, false], &leader, leader_unit);
+            both.chain(each).chain(units([false, false, true], &follower, follower_unit))
+        };
+        let flipped = |factors, reason| iter::once(Hypothesis { factors, reason });
+        let wrong_sign = |factors| flipped(factors, format!("{relative} has the opposite sign"));
+        let closing: Vec<_> = wrong_sign([-1.0, 1.0, 1.0])
+            .chain(units([true, false, false], &relative, relative_unit))
+            .chain(of_speeds())
+            .collect();
+        self.closing.check(table, &relative, [&relative, &difference], (&closing, dropped))?;
+        let gap = &pairs.spacing;
+        let gaps = (LengthUnit::ALL, gap.unit.factor());
+        let common = Hypothesis::units(&gap.column, gaps, [true, false, false])
+            .chain(Hypothesis::times(&map.time, self.clock.column.factor));
+        let (stated, hypotheses): (_, Vec<_>) = if self.relative.is_some() {
+            let of_relative = units([false, true, true], &relative, relative_unit);
+            (&relative, wrong_sign([1.0, -1.0, -1.0]).chain(of_relative).chain(common).collect())
+        } else {
+            let exchanged = flipped([1.0, -1.0, -1.0], format!("{leader} and {follower} look exchanged"));
+            (&difference, exchanged.chain(of_speeds()).chain(common).collect())
+        };
+        let change = format!("the change of {}", gap.column);
+        self.gap_change.check(table, stated, [&change, stated], (&hypotheses, dropped))?;
+        Ok(())
     }
 }

@@ -14,12 +14,13 @@ use std::io::Read;
 
 use csv::StringRecord;
 
+use super::consistency::{Comparison, Hypothesis};
 use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, RecordingError};
-use super::map::{PlatoonSpec, RecordingMapSpec};
+use super::map::{LengthUnit, PlatoonSpec, RecordingMapSpec, SpeedUnit};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
 use super::table::{CsvColumn, CsvRow, RowLimiter, RowReader, excerpt};
-use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat};
+use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat, TextFormat};
 
 /// Maximum number of vehicles of a platoon: ten times that of any published recording.
 const MAX_VEHICLES: usize = 200;
@@ -37,7 +38,7 @@ pub(super) fn read<R: Read>(
     let mut dropped = Vec::new();
     let lines_of_vehicles = layout.split(names, &header, &mut dropped)?;
 
-    let mut clock = Clock::new(layout.time);
+    let mut clock = layout.time;
     let mut extent = RowLimiter::new(&names.fields, 2 * layout.speeds.len());
     let series = |column: &CsvColumn, quantity| Series::new(column.clone(), quantity);
     let mut speeds: BTreeMap<_, _> =
@@ -62,10 +63,31 @@ pub(super) fn read<R: Read>(
     if extent.rows == 0 {
         return table.reject_cut_short("its first sample");
     }
+    let text = TextFormat { time: clock.detected(), ..table.format() };
+    let time_factor = clock.column.factor;
     clock.report(&mut dropped);
     for series in speeds.values().chain(gaps.values()) {
         series.report(table.path(), extent.rows, &mut dropped);
     }
+
+    let mut comparison = Comparison::default();
+    for (ahead, gap) in &gaps {
+        let (Some(leader), Some(follower)) = (speeds.get(ahead), speeds.get(&(ahead + 1))) else { continue };
+        comparison.restart();
+        let samples = time_s.iter().zip(&line).zip(&gap.values).zip(leader.values.iter().zip(&follower.values));
+        for (((&at_s, &line), &gap_m), (leader, follower)) in samples {
+            let rates_mps = leader.zip(*follower).map(|(leader, follower)| [leader, -follower]);
+            comparison.add((at_s, line), gap_m, rates_mps);
+        }
+    }
+    let (speed, spacing) = (&platoon.speed, &platoon.spacing);
+    let hypotheses: Vec<_> =
+        Hypothesis::units(&speed.column, (SpeedUnit::ALL, speed.unit.factor()), [false, true, true])
+            .chain(Hypothesis::units(&spacing.column, (LengthUnit::ALL, spacing.unit.factor()), [true, false, false]))
+            .chain(Hypothesis::times(&map.time, time_factor))
+            .collect();
+    let columns = [format!("the change of {}", spacing.column), format!("the difference of {}", speed.column)];
+    comparison.check(table, &speed.column, [&columns[0], &columns[1]], (&hypotheses, &mut dropped))?;
 
     for series in speeds.values_mut().chain(gaps.values_mut()) {
         if let Some((count, first)) = interpolate_holes(&mut series.values, &time_s, map.interpolate_s) {
@@ -90,6 +112,7 @@ pub(super) fn read<R: Read>(
     Ok(Recording {
         path: table.path().to_owned(),
         format: RecordingFormat::from_map(map),
+        text,
         platoons,
         traffic: None,
         dropped,
@@ -129,7 +152,7 @@ impl PlatoonHeader {
 }
 
 struct PlatoonColumns {
-    time: CsvColumn,
+    time: Clock,
     /// Speed columns by number of the vehicle.
     speeds: BTreeMap<usize, CsvColumn>,
     /// Spacing columns by number of the vehicle ahead.
@@ -143,9 +166,9 @@ impl PlatoonColumns {
         (map, platoon): (&RecordingMapSpec, &PlatoonSpec),
         names: &CsvRow<'_>,
     ) -> Result<Self, RecordingError> {
-        let time = CsvColumn::find_time(names, &map.time)?;
+        let time = Clock::find(names, &map.time)?;
         let (mut speeds, mut gaps) = (BTreeMap::new(), BTreeMap::new());
-        for (index, name) in names.fields.iter().enumerate().filter(|(index, _)| *index != time.index) {
+        for (index, name) in names.fields.iter().enumerate().filter(|(index, _)| *index != time.column.index) {
             let column = |factor| CsvColumn { name: excerpt(name), index, factor };
             let before = if let Some(number) = column_number(name, &platoon.speed.column) {
                 speeds.insert(number, column(platoon.speed.unit.factor()))

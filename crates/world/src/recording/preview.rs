@@ -114,8 +114,7 @@ pub fn preview(recording: &Recording) -> Option<Preview> {
     let mut time_s = [f64::INFINITY, f64::NEG_INFINITY];
     let leads = recording.lead_vehicles();
     for lead in &leads {
-        let mut line =
-            SpeedLine { number: lead.episode_vehicle(0.0).number, speed_mps: Vec::new(), gap_behind_m: Vec::new() };
+        let mut line = SpeedLine { number: lead.number(), speed_mps: Vec::new(), gap_behind_m: Vec::new() };
         steps_s.extend(sample_intervals(&**lead));
         for run in lead.segments() {
             for sample in &run {
@@ -157,7 +156,7 @@ pub fn hardest_braking(recording: &Recording) -> HardestBrakingResult {
             longest_ms = longest_ms.max(lasts_ms);
             for braking in find_brakings(&run, 0.0) {
                 if hardest.as_ref().is_none_or(|known| braking.largest_drop_mps > known.drop_mps) {
-                    let (event, number) = (lead.event().map(str::to_owned), lead.episode_vehicle(0.0).number);
+                    let (event, number) = (lead.event().map(str::to_owned), lead.number());
                     let from_s = braking.hardest_ms as f64 / 1000.0;
                     hardest = Some(HardestBraking { event, number, from_s, drop_mps: braking.largest_drop_mps });
                 }

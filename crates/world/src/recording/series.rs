@@ -4,7 +4,9 @@ use std::path::Path;
 
 use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, RecordingError};
-use super::table::{CsvColumn, CsvRow};
+use super::map::{ClockSpec, TimeSpec};
+use super::number::parse_iso_s;
+use super::table::{CsvColumn, CsvRow, excerpt};
 
 /// Largest magnitude of a time, in seconds; still exact to a millisecond.
 const MAX_TIME_S: f64 = 1e10;
@@ -27,11 +29,59 @@ pub(super) struct Clock {
     last_s: Option<f64>,
     /// First row that is not later, without the count, and number of such rows.
     not_later: Option<(DroppedItem, usize)>,
+    format: ClockFormat,
+}
+
+/// Format of the times of a column.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum ClockFormat {
+    /// The map states no unit, and no row is read.
+    Unknown,
+    /// Numbers in the unit of the map.
+    Stated,
+    /// Numbers in a detected unit.
+    Unit(&'static str),
+    Iso,
 }
 
 impl Clock {
-    pub(super) fn new(column: CsvColumn) -> Self {
-        Self { column, last_s: None, not_later: None }
+    pub(super) fn find(names: &CsvRow<'_>, time: &TimeSpec) -> Result<Self, RecordingError> {
+        let (column, factor, format) = match time {
+            TimeSpec::Clock(ClockSpec { column, unit: Some(unit) }) => (column, unit.factor(), ClockFormat::Stated),
+            TimeSpec::Clock(ClockSpec { column, unit: None }) => (column, 1.0, ClockFormat::Unknown),
+            TimeSpec::Frames(frames) => (&frames.column, 1.0 / frames.rate_hz, ClockFormat::Stated),
+        };
+        Ok(Self { column: CsvColumn::find(names, column, factor)?, last_s: None, not_later: None, format })
+    }
+
+    /// Returns the format that the first row shows, unless the map states the unit.
+    pub(super) fn detected(&self) -> Option<&'static str> {
+        match self.format {
+            ClockFormat::Unit(unit) => Some(unit),
+            ClockFormat::Iso => Some("ISO 8601 time stamps"),
+            _ => None,
+        }
+    }
+
+    fn detect(&mut self, row: &CsvRow<'_>) -> Result<(), RecordingError> {
+        let text = row.text(self.column.index);
+        if text.is_empty() {
+            return Ok(());
+        }
+        if parse_iso_s(text).is_some() {
+            self.format = ClockFormat::Iso;
+            return Ok(());
+        }
+        // Times since 1970 are 1.7 x 10^9 s.
+        let size = row.number(&self.column)?.unwrap_or(0.0).abs();
+        let (unit, factor) = match size {
+            1e17.. => ("ns", 1e-9),
+            1e14.. => ("us", 1e-6),
+            1e11.. => ("ms", 1e-3),
+            _ => ("s", 1.0),
+        };
+        (self.column.factor, self.format) = (factor, ClockFormat::Unit(unit));
+        Ok(())
     }
 
     /// Discards the last time, for a new event.
@@ -39,7 +89,15 @@ impl Clock {
         self.last_s = None;
     }
 
-    pub(super) fn read(&self, row: &CsvRow<'_>) -> Result<f64, RecordingError> {
+    pub(super) fn read(&mut self, row: &CsvRow<'_>) -> Result<f64, RecordingError> {
+        if self.format == ClockFormat::Unknown {
+            self.detect(row)?;
+        }
+        let text = row.text(self.column.index);
+        if self.format == ClockFormat::Iso && !text.is_empty() {
+            let wrong = || row.reject(&self.column.name, ColumnProblem::NotATime { found: excerpt(text) });
+            return parse_iso_s(text).map_or_else(wrong, Ok);
+        }
         match row.number(&self.column)? {
             None => row.reject(&self.column.name, ColumnProblem::Empty),
             Some(found) if found.abs() > MAX_TIME_S => {

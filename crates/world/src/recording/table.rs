@@ -1,13 +1,15 @@
 //! Rows of numbers from a text file of any size: bounded memory, and errors with file, line and column.
 
-use std::io::{self, Read};
+use std::io::{self, Chain, Cursor, Read};
 use std::path::Path;
 
 use csv::StringRecord;
 
 use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, LineProblem, RecordingError};
-use super::map::{Delimiter, TimeSpec};
+use super::map::{DecimalMark, RecordingMapSpec};
+use super::number::parse_number;
+use super::text::{TextFormat, Utf8Reader};
 
 /// Maximum line length, in bytes. 200 vehicles with all columns of OpenACC take about 30 kB.
 const MAX_LINE_BYTES: usize = 1 << 20;
@@ -19,6 +21,9 @@ const MAX_VALUES: usize = 20_000_000;
 struct LineLimitReader<R> {
     inner: R,
     since_line_feed: usize,
+    /// True if line feeds in quotation marks do not end a line.
+    has_quotes: bool,
+    is_quoted: bool,
 }
 
 impl<R: Read> Read for LineLimitReader<R> {
@@ -33,7 +38,8 @@ impl<R: Read> Read for LineLimitReader<R> {
             return Ok(1);
         }
         for &byte in into.iter().take(count) {
-            self.since_line_feed = if byte == b'\n' { 0 } else { self.since_line_feed + 1 };
+            self.is_quoted ^= self.has_quotes && byte == b'"';
+            self.since_line_feed = if byte == b'\n' && !self.is_quoted { 0 } else { self.since_line_feed + 1 };
             if self.since_line_feed > MAX_LINE_BYTES {
                 let message = format!("a line of more than {MAX_LINE_BYTES} bytes is not a row of numbers");
                 return Err(io::Error::new(io::ErrorKind::InvalidData, message));
@@ -43,30 +49,51 @@ impl<R: Read> Read for LineLimitReader<R> {
     }
 }
 
+/// A text whose sample was read before.
+type SampledText<R> = Chain<Cursor<Vec<u8>>, Utf8Reader<R>>;
+
 pub(super) struct RowReader<'a, R> {
     path: &'a Path,
-    reader: csv::Reader<LineLimitReader<R>>,
+    reader: csv::Reader<LineLimitReader<SampledText<R>>>,
+    format: TextFormat,
     row: CsvRow<'a>,
 }
 
 impl<'a, R: Read> RowReader<'a, R> {
-    pub(super) fn new(from: R, path: &'a Path, delimiter: Delimiter) -> Self {
-        let delimiter = match delimiter {
-            Delimiter::Comma => b',',
-            Delimiter::Semicolon => b';',
-            Delimiter::Tab => b'\t',
-        };
+    /// Detects the text format, as far as `map` does not state it.
+    pub(super) fn new(from: R, path: &'a Path, map: Option<&RecordingMapSpec>) -> Result<Self, RecordingError> {
+        let mut text = Utf8Reader::new(from);
+        let start = CsvRow { path, line: 1, fields: StringRecord::new(), decimal: DecimalMark::Point };
+        let sample = text.sample().map_err(|error| start.io_error(error))?;
+        let format = TextFormat::detect(&String::from_utf8_lossy(&sample), map);
         let reader = csv::ReaderBuilder::new()
-            .delimiter(delimiter)
+            .delimiter(format.delimiter.byte())
             .has_headers(false)
             .flexible(true)
-            // No format has quotes; without them a row is a line, which bounds its length.
-            .quoting(false)
-            // Trimming removes carriage returns. Splitting rows at both characters would miscount lines.
+            .quoting(format.has_quotes)
+            .comment(format.comment.map(|letter| letter as u8))
+            // Fields are trimmed, which removes carriage returns. Rows that end at both would miscount lines.
             .terminator(csv::Terminator::Any(b'\n'))
-            .trim(csv::Trim::All)
-            .from_reader(LineLimitReader { inner: from, since_line_feed: 0 });
-        Self { path, reader, row: CsvRow { path, line: 0, fields: StringRecord::new() } }
+            .from_reader(LineLimitReader {
+                inner: Cursor::new(sample).chain(text),
+                since_line_feed: 0,
+                has_quotes: format.has_quotes,
+                is_quoted: false,
+            });
+        let decimal = format.decimal;
+        Ok(Self { path, reader, format, row: CsvRow { line: 0, decimal, ..start } })
+    }
+
+    /// Returns the text format, with the encoding of what was read so far.
+    pub(super) fn format(&self) -> TextFormat {
+        TextFormat { encoding: self.reader.get_ref().inner.get_ref().1.encoding(), ..self.format.clone() }
+    }
+
+    /// Returns the next row with trimmed fields, such as column names.
+    pub(super) fn next_header(&mut self) -> Result<Option<CsvRow<'a>>, RecordingError> {
+        let mut row = self.next_row()?.cloned();
+        row.iter_mut().for_each(|row| row.fields.trim());
+        Ok(row)
     }
 
     pub(super) fn path(&self) -> &'a Path {
@@ -91,21 +118,13 @@ impl<'a, R: Read> RowReader<'a, R> {
     }
 
     fn read_error(&self, error: csv::Error) -> RecordingError {
-        // UTF-8 is checked after the row is read; all other errors occur inside the next row.
-        let line = match error.kind() {
-            csv::ErrorKind::Utf8 { .. } => self.reader.position().line().saturating_sub(1),
-            _ => self.reader.position().line(),
-        };
-        let path = self.path.to_owned();
-        let message = match error.into_kind() {
-            csv::ErrorKind::Io(source) if source.kind() != io::ErrorKind::InvalidData => {
-                return RecordingError::Read { path, source };
-            }
-            csv::ErrorKind::Io(source) => source.to_string(),
-            csv::ErrorKind::Utf8 { .. } => "is not text in UTF-8".to_owned(),
-            other => format!("{other:?}"),
-        };
-        RecordingError::Line { path, line, problem: LineProblem::Malformed(message) }
+        // Errors occur inside the next row.
+        let line = self.reader.position().line();
+        let row = CsvRow { line, ..self.row.clone() };
+        match error.into_kind() {
+            csv::ErrorKind::Io(source) => row.io_error(source),
+            other => row.io_error(io::Error::new(io::ErrorKind::InvalidData, format!("{other:?}"))),
+        }
     }
 
     pub(super) fn reject_cut_short<T>(&self, expected: &'static str) -> Result<T, RecordingError> {
@@ -116,13 +135,23 @@ impl<'a, R: Read> RowReader<'a, R> {
 #[derive(Clone)]
 pub(super) struct CsvRow<'a> {
     path: &'a Path,
+    decimal: DecimalMark,
     pub(super) line: u64,
     pub(super) fields: StringRecord,
 }
 
 impl CsvRow<'_> {
     pub(super) fn text(&self, index: usize) -> &str {
-        self.fields.get(index).unwrap_or_default()
+        self.fields.get(index).unwrap_or_default().trim()
+    }
+
+    /// Returns an error of reading the line, or of its text.
+    fn io_error(&self, source: io::Error) -> RecordingError {
+        let path = self.path.to_owned();
+        if source.kind() != io::ErrorKind::InvalidData {
+            return RecordingError::Read { path, source };
+        }
+        RecordingError::Line { path, line: self.line, problem: LineProblem::Malformed(source.to_string()) }
     }
 
     /// Returns the number of a field; `None` for an empty field or NaN, which many tools write for missing values.
@@ -131,9 +160,9 @@ impl CsvRow<'_> {
         if text.is_empty() {
             return Ok(None);
         }
-        match text.parse::<f64>() {
-            Ok(number) if (number * column.factor).is_finite() => Ok(Some(number * column.factor)),
-            Ok(number) if number.is_nan() => Ok(None),
+        match parse_number(text, self.decimal) {
+            Some(number) if (number * column.factor).is_finite() => Ok(Some(number * column.factor)),
+            Some(number) if number.is_nan() => Ok(None),
             _ => self.reject(&column.name, ColumnProblem::NotANumber { found: excerpt(text) }),
         }
     }
@@ -184,13 +213,6 @@ impl CsvColumn {
                 let known = excerpt(&names.fields.iter().collect::<Vec<_>>().join(", "));
                 names.reject(&excerpt(name), ColumnProblem::Missing { known })
             }
-        }
-    }
-
-    pub(super) fn find_time(names: &CsvRow<'_>, time: &TimeSpec) -> Result<Self, RecordingError> {
-        match time {
-            TimeSpec::Clock(clock) => Self::find(names, &clock.column, clock.unit.factor()),
-            TimeSpec::Frames(frames) => Self::find(names, &frames.column, 1.0 / frames.rate_hz),
         }
     }
 }

@@ -7,6 +7,8 @@ const MAX_TEXT_LENGTH: usize = 200;
 const MAX_LINES_BEFORE_NAMES: usize = 1000;
 /// Longest hole that may be interpolated, in seconds.
 const MAX_INTERPOLATION_S: f64 = 2.0;
+/// Longest blip of a lane id, in seconds; a vehicle may pass through a lane in a longer time.
+const MAX_LANE_BLIP_S: f64 = 5.0;
 
 /// Returns the first invalid field and its problem as the error.
 pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
@@ -31,10 +33,13 @@ pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
     match &spec.layout {
         LayoutSpec::Platoon(platoon) => check_platoon(platoon),
         LayoutSpec::Pairs(pairs) => check_pairs(pairs),
-        LayoutSpec::Tracks(tracks) => match tracks.length {
-            LengthSpec::Column(_) => Ok(()),
-            LengthSpec::Metres(metres) => check_range("layout.tracks.length.metres", metres, [0.1, 100.0]),
-        },
+        LayoutSpec::Tracks(tracks) => {
+            check_range("layout.tracks.lane_blip_s", tracks.lane_blip_s, [0.0, MAX_LANE_BLIP_S])?;
+            match tracks.length {
+                LengthSpec::Column(_) => Ok(()),
+                LengthSpec::Metres(metres) => check_range("layout.tracks.length.metres", metres, [0.1, 100.0]),
+            }
+        }
     }?;
     for (index, (field, column)) in columns.iter().enumerate() {
         if let Some((other, _)) = columns.iter().take(index).find(|(_, known)| known == column) {
@@ -46,7 +51,7 @@ pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
 
 impl RecordingMapSpec {
     /// Returns every field that names a column, with the name.
-    fn columns(&self) -> Vec<(&'static str, &str)> {
+    pub(super) fn columns(&self) -> Vec<(&'static str, &str)> {
         let time = match &self.time {
             TimeSpec::Clock(clock) => ("time.clock.column", Some(&clock.column)),
             TimeSpec::Frames(frames) => ("time.frames.column", Some(&frames.column)),

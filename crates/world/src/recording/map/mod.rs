@@ -1,20 +1,13 @@
 //! Maps: files that state the meaning of the columns of a recording.
 
+mod built_in;
 mod check;
 mod units;
 
-use std::path::Path;
-
 use serde::{Deserialize, Serialize};
 
-use super::error::RecordingError;
-use crate::scenario::file::{FileError, parse_toml, read_at_most};
-
-pub use units::{LengthUnit, SpeedUnit, TimeUnit};
-
-use check::check;
-
-const MAX_MAP_BYTES: u64 = 64 << 10;
+pub use built_in::{BUILT_IN_MAPS, RecordingMap};
+pub use units::{DecimalMark, Delimiter, LengthUnit, SpeedUnit, TimeUnit};
 
 /// Content of a map file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -29,9 +22,12 @@ pub struct RecordingMapSpec {
     #[serde(default)]
     #[cfg_attr(feature = "schema", schemars(range(min = 0, max = 1000)))]
     pub lines_before_names: usize,
-    /// Separator of columns. Default: comma.
-    #[serde(default)]
-    pub delimiter: Delimiter,
+    /// Separator of columns. Default: detected.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub delimiter: Option<Delimiter>,
+    /// Mark of decimals. Default: detected.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub decimal: Option<DecimalMark>,
     /// Time of each row.
     pub time: TimeSpec,
     /// Longest hole that is interpolated linearly, in seconds. Default 0: none.
@@ -40,20 +36,6 @@ pub struct RecordingMapSpec {
     pub interpolate_s: f64,
     /// Content of a row.
     pub layout: LayoutSpec,
-}
-
-/// A separator of columns.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(rename_all = "kebab-case")]
-pub enum Delimiter {
-    /// `,`
-    #[default]
-    Comma,
-    /// `;`
-    Semicolon,
-    /// Tab.
-    Tab,
 }
 
 /// Time of a row.
@@ -74,9 +56,9 @@ pub enum TimeSpec {
 pub struct ClockSpec {
     /// Name of the column.
     pub column: String,
-    /// Unit. Default: seconds.
-    #[serde(default)]
-    pub unit: TimeUnit,
+    /// Unit of numbers. Default: seconds, or a smaller unit if times are above 10^11. ISO 8601 time stamps need none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<TimeUnit>,
 }
 
 /// A column of frame numbers.
@@ -155,17 +137,25 @@ pub struct PairsSpec {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
 pub struct TracksSpec {
-    /// Column of vehicle numbers: whole, from 0.
+    /// Column of vehicle ids: whole numbers or text.
     pub vehicle: String,
     /// Column of lanes. Default: a single lane.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lane: Option<String>,
-    /// Column of positions along the road. Their change gives the direction of driving.
+    /// Column of positions along the road. Their change from row to row gives the direction of driving.
     pub position: PositionSpec,
     /// Column of speeds along the road; the sign does not matter.
     pub speed: SpeedSpec,
     /// Length of the vehicles.
     pub length: LengthSpec,
+    /// Lane ids that a vehicle has for less than this time, in seconds, are ignored. Default 0.5.
+    #[serde(default = "default_lane_blip_s")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 5.0)))]
+    pub lane_blip_s: f64,
+}
+
+fn default_lane_blip_s() -> f64 {
+    0.5
 }
 
 /// A column of speeds.
@@ -284,56 +274,6 @@ pub enum ReferencePoint {
     Rear,
     /// Bumper with the smaller position, as in highD: the front one of vehicles that drive towards smaller positions.
     LowEnd,
-}
-
-/// A valid map.
-#[derive(Debug, Clone, PartialEq)]
-pub struct RecordingMap {
-    spec: RecordingMapSpec,
-}
-
-impl RecordingMap {
-    /// Reads a map.
-    ///
-    /// # Errors
-    /// [`FileError`] for a file that cannot be read, has more than 64 KiB, or is invalid, with line and field.
-    pub fn load(path: &Path) -> Result<Self, FileError> {
-        Self::from_toml(&read_at_most(path, MAX_MAP_BYTES)?, path)
-    }
-
-    /// Reads a map from TOML text; `path` only names it in errors.
-    ///
-    /// # Errors
-    /// [`FileError`] for text that is not a valid map.
-    pub fn from_toml(text: &str, path: &Path) -> Result<Self, FileError> {
-        let spec: RecordingMapSpec = parse_toml(text, path)?;
-        check(&spec).map_err(|(field, problem)| FileError::from_field(path, text, &field, problem))?;
-        Ok(Self { spec })
-    }
-
-    /// Returns the content of the map.
-    #[must_use]
-    pub fn spec(&self) -> &RecordingMapSpec {
-        &self.spec
-    }
-
-    pub(super) fn openacc() -> Result<Self, RecordingError> {
-        parse_built_in(OPENACC)
-    }
-
-    pub(super) fn car_following() -> Result<Self, RecordingError> {
-        parse_built_in(CAR_FOLLOWING)
-    }
-}
-
-/// Name and text of every built-in map.
-pub const BUILT_IN_MAPS: [(&str, &str); 2] = [("openacc", OPENACC), ("car-following", CAR_FOLLOWING)];
-
-const OPENACC: &str = include_str!("../built_in/openacc.toml");
-const CAR_FOLLOWING: &str = include_str!("../built_in/car-following.toml");
-
-fn parse_built_in(text: &str) -> Result<RecordingMap, RecordingError> {
-    RecordingMap::from_toml(text, Path::new("built in")).map_err(|error| RecordingError::Map(Box::new(error)))
 }
 
 /// Returns the JSON Schema of maps.

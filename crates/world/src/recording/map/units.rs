@@ -1,4 +1,4 @@
-//! Units of the columns of recordings.
+//! Units of the columns of recordings, and marks in their text.
 
 use serde::{Deserialize, Serialize};
 
@@ -12,6 +12,9 @@ macro_rules! units {
         }
 
         impl $name {
+            /// Every unit as a map names it, with its size in metric units.
+            pub(in crate::recording) const ALL: &[(&'static str, f64)] = &[$(($written, $factor)),*];
+
             /// Returns the size of the unit in metric units.
             pub(in crate::recording) fn factor(self) -> f64 {
                 match self {
@@ -32,6 +35,8 @@ units! {
         Milliseconds = "ms": 1e-3;
         /// Microseconds.
         Microseconds = "us": 1e-6;
+        /// Nanoseconds.
+        Nanoseconds = "ns": 1e-9;
     }
 }
 
@@ -61,4 +66,40 @@ units! {
         /// Centimetres.
         Centimetres = "cm": 1e-2;
     }
+}
+
+/// A separator of columns.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum Delimiter {
+    /// `,`
+    #[default]
+    Comma,
+    /// `;`
+    Semicolon,
+    /// Tab.
+    Tab,
+}
+
+impl Delimiter {
+    pub(in crate::recording) fn byte(self) -> u8 {
+        match self {
+            Self::Comma => b',',
+            Self::Semicolon => b';',
+            Self::Tab => b'\t',
+        }
+    }
+}
+
+/// A mark of decimals.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum DecimalMark {
+    /// `.`
+    #[default]
+    Point,
+    /// `,`
+    Comma,
 }

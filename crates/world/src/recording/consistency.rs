@@ -1,0 +1,228 @@
+//! Columns that contradict each other: positions and gaps against the speeds that change them.
+
+use std::fmt;
+
+use super::dropped::{DroppedItem, Omission};
+use super::error::{ColumnProblem, LineProblem, RecordingError};
+use super::map::{TimeSpec, TimeUnit};
+use super::table::RowReader;
+
+/// Shortest time, in seconds, and largest number of rows of a window.
+const WINDOW_S: f64 = 0.5;
+const MAX_WINDOW_ROWS: usize = 50;
+/// Smallest change within a window that tells more than noise, in metres.
+const MIN_CHANGE_M: f64 = 0.3;
+const MIN_WINDOWS: usize = 5;
+/// Largest median error that noise explains: in m/s, and relative to the rates.
+const MAX_ERROR_MPS: f64 = 0.5;
+const MAX_RELATIVE_ERROR: f64 = 0.04;
+/// Largest relative error that a reason leaves; in noisy data it is larger.
+const MAX_EXPLAINED_ERROR: f64 = 0.15;
+/// An error without a reason is reported from this on: in m/s, and relative to the rates.
+const MIN_UNEXPLAINED_MPS: f64 = 1.5;
+const MIN_UNEXPLAINED: f64 = 0.5;
+/// A reason explains an error if it leaves this share of it.
+const EXPLAINED_SHARE: f64 = 0.25;
+
+/// Two columns, or sums of columns, whose values exclude each other.
+#[derive(Debug, Clone, PartialEq)]
+pub struct ColumnContradiction {
+    /// Columns, as nouns.
+    pub columns: [String; 2],
+    /// Rate by each of them, in m/s, where their difference is the median.
+    pub rates_mps: [f64; 2],
+    /// Likely reason.
+    pub reason: Option<String>,
+}
+
+impl fmt::Display for ColumnContradiction {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { columns: [first, second], rates_mps: [first_mps, second_mps], reason } = self;
+        write!(out, "{first} is {first_mps:.1} m/s here, but {second} is {second_mps:.1} m/s")?;
+        match reason {
+            Some(reason) => write!(out, ": {reason}"),
+            None => out.write_str(", and no other unit or sign explains this"),
+        }
+    }
+}
+
+/// A change of the map, or of the data, that would end a contradiction.
+pub(super) struct Hypothesis {
+    /// Factor of each term.
+    pub(super) factors: [f64; 3],
+    pub(super) reason: String,
+}
+
+impl Hypothesis {
+    /// Returns a hypothesis for each other unit of a column with the given terms.
+    pub(super) fn units<'a>(
+        column: &'a str,
+        (units, given): (&'a [(&'static str, f64)], f64),
+        terms: [bool; 3],
+    ) -> impl Iterator<Item = Self> + 'a {
+        units.iter().filter(move |(_, factor)| *factor != given).map(move |(name, factor)| {
+            let change = factor / given;
+            let factors = terms.map(|is_scaled| if is_scaled { change } else { 1.0 });
+            Self { factors, reason: format!("{column} looks like {name}: ratio {:.2}", 1.0 / change) }
+        })
+    }
+
+    /// Returns a hypothesis for each other unit of the time.
+    pub(super) fn times(time: &TimeSpec, given: f64) -> impl Iterator<Item = Self> {
+        let column = match time {
+            TimeSpec::Clock(clock) => &clock.column,
+            TimeSpec::Frames(frames) => &frames.column,
+        };
+        Self::units(column, (TimeUnit::ALL, given), [false, true, true])
+    }
+}
+
+#[derive(Debug, Clone, Copy)]
+struct Window {
+    /// The first term should be the sum of the others.
+    terms: [f64; 3],
+    seconds: f64,
+    line: u64,
+}
+
+impl Window {
+    fn rates(&self, factors: [f64; 3]) -> [f64; 2] {
+        let [level, first, second] = [0, 1, 2].map(|index| factors[index] * self.terms[index] / self.seconds);
+        [level, first + second]
+    }
+}
+
+/// Comparison of the change of a column with the integral of others.
+#[derive(Default)]
+pub(super) struct Comparison {
+    windows: Vec<Window>,
+    /// Start of the current window, last row in it, and number of its rows.
+    current: Option<(Sample, Sample, usize)>,
+    integrals_m: [f64; 2],
+    /// True if the direction of the change is unknown.
+    is_undirected: bool,
+}
+
+#[derive(Clone, Copy)]
+struct Sample {
+    time_s: f64,
+    line: u64,
+    level_m: f64,
+    rates_mps: [f64; 2],
+}
+
+impl Comparison {
+    pub(super) fn undirected() -> Self {
+        Self { is_undirected: true, ..Self::default() }
+    }
+
+    /// Ends the current window, for another vehicle.
+    pub(super) fn restart(&mut self) {
+        self.current = None;
+    }
+
+    /// Adds a row; unknown values end the window.
+    pub(super) fn add(&mut self, (time_s, line): (f64, u64), level_m: Option<f64>, rates_mps: Option<[f64; 2]>) {
+        let Some((level_m, rates_mps)) = level_m.zip(rates_mps) else { return self.restart() };
+        let sample = Sample { time_s, line, level_m, rates_mps };
+        let Some((first, last, rows)) = self.current else {
+            (self.current, self.integrals_m) = (Some((sample, sample, 1)), [0.0; 2]);
+            return;
+        };
+        let step_s = time_s - last.time_s;
+        for ((integral, before), after) in self.integrals_m.iter_mut().zip(last.rates_mps).zip(rates_mps) {
+            *integral += 0.5 * (before + after) * step_s;
+        }
+        self.current = Some((first, sample, rows + 1));
+        let seconds = time_s - first.time_s;
+        if seconds < WINDOW_S - 1e-6 && rows < MAX_WINDOW_ROWS {
+            return;
+        }
+        if seconds > 0.0 {
+            let change_m = level_m - first.level_m;
+            let change_m = if self.is_undirected { change_m.abs() } else { change_m };
+            let [a, b] = self.integrals_m;
+            self.windows.push(Window { terms: [change_m, a, b], seconds, line: first.line });
+        }
+        (self.current, self.integrals_m) = (Some((sample, sample, 1)), [0.0; 2]);
+    }
+
+    /// Adds an instant at which the first rate should be the sum of the others.
+    pub(super) fn add_instant(&mut self, line: u64, terms: [f64; 3]) {
+        self.windows.push(Window { terms, seconds: 1.0, line });
+    }
+
+    /// Returns the contradiction, its line, and whether a unit or a sign explains it.
+    fn find(&self, columns: [&str; 2], hypotheses: &[Hypothesis]) -> Option<(ColumnContradiction, u64, bool)> {
+        const GIVEN: [f64; 3] = [1.0; 3];
+        let is_telling = |window: &&Window| {
+            window.rates(GIVEN).iter().any(|rate_mps| (rate_mps * window.seconds).abs() >= MIN_CHANGE_M)
+        };
+        let windows: Vec<_> = self.windows.iter().filter(is_telling).collect();
+        if windows.len() < MIN_WINDOWS {
+            return None;
+        }
+        let median = |value: &dyn Fn(&Window) -> f64| {
+            let mut values: Vec<f64> = windows.iter().map(|window| value(window)).collect();
+            let middle = values.len() / 2;
+            *values.select_nth_unstable_by(middle, f64::total_cmp).1
+        };
+        let difference = |window: &Window, factors| {
+            let [change, stated] = window.rates(factors);
+            change - stated
+        };
+        let error = |factors| median(&|window| difference(window, factors).abs());
+        let scale = |factors| median(&|window| window.rates(factors).iter().fold(0.0, |a: f64, b| a.max(b.abs())));
+        let (given_mps, scale_mps) = (error(GIVEN), scale(GIVEN));
+        if given_mps <= MAX_ERROR_MPS.max(MAX_RELATIVE_ERROR * scale_mps) {
+            return None;
+        }
+        // Relative errors of the hypotheses that leave only noise.
+        let relative = hypotheses.iter().map(|one| {
+            let (error_mps, scale_mps) = (error(one.factors), scale(one.factors).max(f64::MIN_POSITIVE));
+            let is_noise = error_mps <= MAX_ERROR_MPS.max(MAX_EXPLAINED_ERROR * scale_mps);
+            if is_noise { error_mps / scale_mps } else { f64::INFINITY }
+        });
+        let relative: Vec<f64> = relative.collect();
+        let best = relative.iter().copied().fold(f64::INFINITY, f64::min);
+        let is_explained = best <= EXPLAINED_SHARE * given_mps / scale_mps;
+        let offset_mps = median(&|window| difference(window, GIVEN));
+        let reason = if is_explained {
+            let explains = |(one, &error): (&'_ Hypothesis, &f64)| (error <= best + 0.03).then(|| one.reason.clone());
+            Some(hypotheses.iter().zip(&relative).filter_map(explains).collect::<Vec<_>>().join(", or "))
+        } else if median(&|window| (difference(window, GIVEN) - offset_mps).abs()) <= EXPLAINED_SHARE * given_mps {
+            Some(format!("this looks like an offset of {offset_mps:.1} m/s"))
+        } else if given_mps > MIN_UNEXPLAINED_MPS.max(MIN_UNEXPLAINED * scale_mps) {
+            None
+        } else {
+            return None;
+        };
+        let nearness = |window: &&&Window| (difference(window, GIVEN).abs() - given_mps).abs();
+        let typical = windows.iter().min_by(|a, b| nearness(a).total_cmp(&nearness(b)))?;
+        let (columns, rates_mps) = (columns.map(str::to_owned), typical.rates(GIVEN));
+        Some((ColumnContradiction { columns, rates_mps, reason }, typical.line, is_explained))
+    }
+
+    /// Reports a contradiction of two columns, of which `field` is probably wrong. Returns whether they agree.
+    ///
+    /// # Errors
+    /// [`RecordingError::Line`] if another unit or sign in the map would end the contradiction.
+    pub(super) fn check<R: std::io::Read>(
+        &self,
+        table: &RowReader<'_, R>,
+        field: &str,
+        columns: [&str; 2],
+        (hypotheses, dropped): (&[Hypothesis], &mut Vec<DroppedItem>),
+    ) -> Result<bool, RecordingError> {
+        let Some((contradiction, line, is_explained)) = self.find(columns, hypotheses) else { return Ok(true) };
+        let path = table.path().to_owned();
+        if is_explained {
+            let column = field.to_owned();
+            let problem =
+                LineProblem::Column { column, problem: ColumnProblem::Contradiction(Box::new(contradiction)) };
+            return Err(RecordingError::Line { path, line, problem });
+        }
+        dropped.push(DroppedItem { path, line, omission: Omission::ColumnsContradict(contradiction) });
+        Ok(false)
+    }
+}

@@ -1,0 +1,68 @@
+//! Valid maps, and those that are built in.
+
+use std::path::Path;
+
+use super::RecordingMapSpec;
+use super::check::check;
+use crate::scenario::file::{FileError, parse_toml, read_at_most};
+
+const MAX_MAP_BYTES: u64 = 64 << 10;
+
+/// A valid map.
+#[derive(Debug, Clone, PartialEq)]
+pub struct RecordingMap {
+    spec: RecordingMapSpec,
+}
+
+impl RecordingMap {
+    /// Reads a map.
+    ///
+    /// # Errors
+    /// [`FileError`] for a file that cannot be read, has more than 64 KiB, or is invalid, with line and field.
+    pub fn load(path: &Path) -> Result<Self, FileError> {
+        Self::from_toml(&read_at_most(path, MAX_MAP_BYTES)?, path)
+    }
+
+    /// Reads a map from TOML text; `path` only names it in errors.
+    ///
+    /// # Errors
+    /// [`FileError`] for text that is not a valid map.
+    pub fn from_toml(text: &str, path: &Path) -> Result<Self, FileError> {
+        let spec: RecordingMapSpec = parse_toml(text, path)?;
+        check(&spec).map_err(|(field, problem)| FileError::from_field(path, text, &field, problem))?;
+        Ok(Self { spec })
+    }
+
+    /// Returns the content of the map.
+    #[must_use]
+    pub fn spec(&self) -> &RecordingMapSpec {
+        &self.spec
+    }
+
+    /// Returns the built-in map with a name; `None` for any other name.
+    ///
+    /// # Errors
+    /// [`FileError`] never, since tests read every built-in map.
+    pub fn built_in(name: &str) -> Option<Result<Self, FileError>> {
+        let (name, text) = BUILT_IN_MAPS.iter().find(|(known, _)| *known == name)?;
+        Some(Self::from_toml(text, Path::new(name)))
+    }
+
+    /// Returns the name of the built-in map whose columns are all among `names`.
+    pub(in crate::recording) fn recognise<'n>(names: impl Iterator<Item = &'n str> + Clone) -> Option<&'static str> {
+        let is_for = |text: &str| {
+            let map = Self::from_toml(text, Path::new(""));
+            map.is_ok_and(|map| map.spec.columns().iter().all(|(_, column)| names.clone().any(|name| name == *column)))
+        };
+        BUILT_IN_MAPS.iter().find(|(_, text)| is_for(text)).map(|(name, _)| *name)
+    }
+}
+
+/// Name and text of every built-in map.
+pub const BUILT_IN_MAPS: [(&str, &str); 5] = [
+    ("openacc", include_str!("../built_in/openacc.toml")),
+    ("car-following", include_str!("../built_in/car-following.toml")),
+    ("highd", include_str!("../built_in/highd.toml")),
+    ("ngsim", include_str!("../built_in/ngsim.toml")),
+    ("sumo-fcd", include_str!("../built_in/sumo-fcd.toml")),
+];

@@ -1,0 +1,87 @@
+//! Division of recorded pairs where the sensor switches to another target.
+
+use super::dropped::Omission;
+
+/// Change of a gap that no noise explains, in metres.
+const MIN_SWITCH_M: f64 = 1.5;
+/// Change that no noise explains, relative to the median error of the event's gaps.
+const MIN_SWITCH_ERRORS: f64 = 9.0;
+/// Allowance for changes of the speeds between two rows, in m/s².
+const SPEED_CHANGE_MPS2: f64 = 2.0;
+
+/// Samples of a follower and its leader.
+#[derive(Default)]
+pub(super) struct PairSamples {
+    pub(super) time_s: Vec<f64>,
+    pub(super) line: Vec<u64>,
+    pub(super) gaps_m: Vec<Option<f64>>,
+    pub(super) followers_mps: Vec<Option<f64>>,
+    pub(super) leaders_mps: Vec<Option<f64>>,
+}
+
+/// Change of the gap between two samples with known gaps and speeds.
+struct GapChange {
+    /// Index of the later sample.
+    to: usize,
+    seconds: f64,
+    change_m: f64,
+    /// Change by the speeds, in metres.
+    driven_m: f64,
+}
+
+impl GapChange {
+    fn error_m(&self) -> f64 {
+        (self.change_m - self.driven_m).abs()
+    }
+}
+
+impl PairSamples {
+    /// Ends the samples wherever the gap changes by more than noise and closing speed explain. `switches` counts these
+    /// places, with the line of the first one.
+    pub(super) fn split(mut self, switches: &mut Option<(u64, Omission)>) -> Vec<Self> {
+        let found = self.switches();
+        for &GapChange { to, seconds, change_m, driven_m } in &found {
+            let first = || {
+                let omission = Omission::TargetSwitches { change_m, driven_m, seconds, count: 0 };
+                (self.line.get(to).copied().unwrap_or(0), omission)
+            };
+            if let (_, Omission::TargetSwitches { count, .. }) = switches.get_or_insert_with(first) {
+                *count += 1;
+            }
+        }
+        let mut parts = Vec::new();
+        for GapChange { to, .. } in found.into_iter().rev() {
+            parts.push(Self {
+                time_s: self.time_s.split_off(to),
+                line: self.line.split_off(to),
+                gaps_m: self.gaps_m.split_off(to),
+                followers_mps: self.followers_mps.split_off(to),
+                leaders_mps: self.leaders_mps.split_off(to),
+            });
+        }
+        parts.push(self);
+        parts.reverse();
+        parts
+    }
+
+    fn switches(&self) -> Vec<GapChange> {
+        let speeds = self.leaders_mps.iter().zip(&self.followers_mps);
+        let closing_mps = speeds.map(|(leader, follower)| leader.zip(*follower).map(|(a, b)| a - b));
+        let samples = self.time_s.iter().zip(&self.gaps_m).zip(closing_mps).enumerate();
+        let mut known =
+            samples.filter_map(|(to, ((&at_s, gap_m), closing_mps))| Some((to, at_s, (*gap_m)?, closing_mps?)));
+        let Some(mut before) = known.next() else { return Vec::new() };
+        let changes = known.map(|now| {
+            let ((_, from_s, from_m, from_mps), (to, to_s, to_m, to_mps)) = (before, now);
+            before = now;
+            let seconds = to_s - from_s;
+            GapChange { to, seconds, change_m: to_m - from_m, driven_m: 0.5 * (from_mps + to_mps) * seconds }
+        });
+        let mut changes: Vec<GapChange> = changes.collect();
+        let mut errors_m: Vec<f64> = changes.iter().map(GapChange::error_m).collect();
+        errors_m.sort_unstable_by(f64::total_cmp);
+        let noise_m = MIN_SWITCH_ERRORS * errors_m.get(errors_m.len() / 2).copied().unwrap_or(0.0);
+        changes.retain(|one| one.error_m() > MIN_SWITCH_M.max(noise_m) + SPEED_CHANGE_MPS2 * one.seconds * one.seconds);
+        changes
+    }
+}

@@ -1,0 +1,234 @@
+//! Text of recordings: its encoding, and how it writes columns and numbers.
+
+use std::fmt;
+use std::io::{self, Read};
+
+use encoding_rs::{Decoder, DecoderResult, UTF_16BE, UTF_16LE, WINDOWS_1252};
+
+use super::map::{DecimalMark, Delimiter, RecordingMapSpec};
+use super::number::NumberMarks;
+
+const CHUNK_BYTES: usize = 64 << 10;
+/// Number of rows whose numbers show the decimal mark.
+const MAX_SAMPLE_ROWS: usize = 200;
+
+/// Encoding of a recording, and how it writes columns, numbers and times.
+#[derive(Debug, Clone, PartialEq, Eq, Default)]
+pub struct TextFormat {
+    /// Name of the encoding by the Encoding Standard.
+    pub encoding: &'static str,
+    /// Separator of columns.
+    pub delimiter: Delimiter,
+    /// Mark of decimals. Numbers may have thousands separators: the other mark, `'` or a blank.
+    pub decimal: DecimalMark,
+    /// True if fields may be in quotation marks, which may contain separators.
+    pub has_quotes: bool,
+    /// First letter of comment lines.
+    pub comment: Option<char>,
+    /// Format of the time, if the map does not state its unit.
+    pub time: Option<&'static str>,
+    /// True if the map states the separator, and the mark.
+    pub(super) stated: [bool; 2],
+}
+
+/// Writes what crumple detected, unless it is the default.
+impl fmt::Display for TextFormat {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let delimiter = match self.delimiter {
+            Delimiter::Semicolon => Some("semicolons"),
+            Delimiter::Tab => Some("tabs"),
+            Delimiter::Comma => None,
+        };
+        let parts = [
+            Some(self.encoding).filter(|encoding| *encoding != "UTF-8").map(str::to_owned),
+            delimiter.filter(|_| !self.stated[0]).map(|name| format!("columns separated by {name}")),
+            (self.decimal == DecimalMark::Comma && !self.stated[1]).then(|| "decimal commas".to_owned()),
+            self.has_quotes.then(|| "quotation marks".to_owned()),
+            self.comment.map(|first| format!("comment lines with {first}")),
+            self.time.filter(|time| *time != "s").map(|time| format!("time in {time}")),
+        ];
+        out.write_str(&parts.into_iter().flatten().collect::<Vec<_>>().join(", "))
+    }
+}
+
+impl TextFormat {
+    /// Detects the format from the first lines of a text. `map` takes precedence.
+    pub(super) fn detect(sample: &str, map: Option<&RecordingMapSpec>) -> Self {
+        let (delimiter, decimal) = map.map_or((None, None), |map| (map.delimiter, map.decimal));
+        let before_names = map.map_or(0, |map| map.lines_before_names);
+        let lines = || sample.trim_start_matches('\u{feff}').lines().filter(|line| !line.trim().is_empty());
+        let is_comment = |letter: char| {
+            let is_marked = |line: &str| line.starts_with(letter);
+            let rows = lines().skip(before_names);
+            // Ids may begin with the letter, too.
+            !lines().take(before_names).any(is_marked) && rows.clone().any(is_marked) && !rows.skip(1).all(is_marked)
+        };
+        let comment = ['#', '%'].into_iter().find(|&letter| is_comment(letter));
+        let mut rows = lines().filter(|line| comment.is_none_or(|letter| !line.starts_with(letter))).skip(before_names);
+        let (names, first) = (rows.next().unwrap_or(""), rows.clone().next().unwrap_or(""));
+        let count = |line, of: Delimiter| fields(line, of).count() - 1;
+        let known = [Delimiter::Tab, Delimiter::Semicolon, Delimiter::Comma];
+        let splits_both = |of: &Delimiter| count(names, *of) > 0 && count(names, *of) == count(first, *of);
+        let splits = |of: &Delimiter| count(names, *of) > 0;
+        let found = known.into_iter().find(splits_both).or_else(|| known.into_iter().find(splits));
+        let separator = delimiter.or(found).unwrap_or_default();
+        let has_quotes = [names]
+            .into_iter()
+            .chain(rows.clone())
+            .any(|line| fields(line, separator).any(|field| field.trim_start().starts_with('"')));
+        let mut marks = NumberMarks::default();
+        for field in rows.take(MAX_SAMPLE_ROWS).flat_map(|line| fields(line, separator)) {
+            marks.add(field.trim().trim_matches('"'));
+        }
+        Self {
+            encoding: "UTF-8",
+            delimiter: separator,
+            decimal: decimal.unwrap_or_else(|| marks.decimal(separator)),
+            has_quotes,
+            comment,
+            time: None,
+            stated: [delimiter.is_some(), decimal.is_some()],
+        }
+    }
+}
+
+/// Splits a line at separators outside of quotation marks.
+fn fields(line: &str, delimiter: Delimiter) -> impl Iterator<Item = &str> {
+    let mut is_quoted = false;
+    line.split(move |letter: char| {
+        is_quoted ^= letter == '"';
+        !is_quoted && letter == char::from(delimiter.byte())
+    })
+}
+
+/// Converts a text to UTF-8 while it is read: UTF-16, with or without a byte order mark; UTF-8; and Windows-1252, which
+/// includes Latin-1, from the first byte on that is not UTF-8.
+pub(super) struct Utf8Reader<R> {
+    inner: R,
+    encoding: &'static str,
+    /// Decoder of texts that are not UTF-8.
+    decoder: Option<Decoder>,
+    is_started: bool,
+    is_finished: bool,
+    /// Bytes that were read, of which the first `kept` begin an incomplete letter.
+    input: Vec<u8>,
+    kept: usize,
+    output: Vec<u8>,
+    /// Number of bytes of `output` that were returned.
+    returned: usize,
+}
+
+impl<R: Read> Utf8Reader<R> {
+    pub(super) fn new(inner: R) -> Self {
+        let (input, output) = (vec![0; CHUNK_BYTES], Vec::new());
+        Self {
+            inner,
+            encoding: "UTF-8",
+            decoder: None,
+            is_started: false,
+            is_finished: false,
+            input,
+            kept: 0,
+            output,
+            returned: 0,
+        }
+    }
+
+    pub(super) fn encoding(&self) -> &'static str {
+        self.encoding
+    }
+
+    /// Returns the beginning of the text, at least of one chunk.
+    pub(super) fn sample(&mut self) -> io::Result<Vec<u8>> {
+        let mut sample = Vec::new();
+        self.by_ref().take(CHUNK_BYTES as u64).read_to_end(&mut sample)?;
+        Ok(sample)
+    }
+
+    /// Reads and converts a chunk. Returns false at the end.
+    fn refill(&mut self) -> io::Result<bool> {
+        if self.is_finished {
+            return Ok(false);
+        }
+        let mut end = self.kept;
+        loop {
+            let count = self.inner.read(&mut self.input[end..])?;
+            end += count;
+            // The first bytes show the encoding.
+            if count == 0 || self.is_started || end >= 64 {
+                break;
+            }
+        }
+        let is_last = end == self.kept;
+        self.is_finished = is_last;
+        let bytes = &self.input[..end];
+        if !std::mem::replace(&mut self.is_started, true)
+            && let Some(encoding) = utf_16(bytes)
+        {
+            self.encoding = encoding.name();
+            self.decoder = Some(encoding.new_decoder_with_bom_removal());
+        }
+        self.output.clear();
+        (self.returned, self.kept) = (0, 0);
+        let mut valid = 0;
+        if self.decoder.is_none() {
+            valid = match std::str::from_utf8(bytes) {
+                Ok(_) => end,
+                Err(error) if error.error_len().is_none() && !is_last => {
+                    self.kept = end - error.valid_up_to();
+                    error.valid_up_to()
+                }
+                Err(error) => {
+                    self.encoding = WINDOWS_1252.name();
+                    self.decoder = Some(WINDOWS_1252.new_decoder_without_bom_handling());
+                    error.valid_up_to()
+                }
+            };
+            self.output.extend_from_slice(&bytes[..valid]);
+        }
+        if let Some(decoder) = &mut self.decoder {
+            let rest = &bytes[valid..];
+            let capacity = decoder.max_utf8_buffer_length_without_replacement(rest.len()).unwrap_or(4 * CHUNK_BYTES);
+            let from = self.output.len();
+            self.output.resize(from + capacity, 0);
+            let (result, _, written) =
+                decoder.decode_to_utf8_without_replacement(rest, &mut self.output[from..], is_last);
+            self.output.truncate(from + written);
+            if matches!(result, DecoderResult::Malformed(..)) {
+                let message = format!("is not text in {}", self.encoding);
+                return Err(io::Error::new(io::ErrorKind::InvalidData, message));
+            }
+        } else {
+            self.input.copy_within(valid..end, 0);
+        }
+        Ok(!is_last || !self.output.is_empty())
+    }
+}
+
+impl<R: Read> Read for Utf8Reader<R> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        while self.returned == self.output.len() {
+            if into.is_empty() || !self.refill()? {
+                return Ok(0);
+            }
+        }
+        let rest = &self.output[self.returned..];
+        let count = rest.len().min(into.len());
+        into[..count].copy_from_slice(&rest[..count]);
+        self.returned += count;
+        Ok(count)
+    }
+}
+
+/// Recognises UTF-16 by its byte order mark, or by the zero bytes of Latin letters.
+fn utf_16(bytes: &[u8]) -> Option<&'static encoding_rs::Encoding> {
+    let zeros = |from: usize| bytes.iter().skip(from).step_by(2).filter(|byte| **byte == 0).count();
+    let most = bytes.len() * 3 / 8;
+    match bytes {
+        [0xff, 0xfe, ..] => Some(UTF_16LE),
+        [0xfe, 0xff, ..] => Some(UTF_16BE),
+        _ if bytes.len() >= 4 && zeros(0) == 0 && zeros(1) > most => Some(UTF_16LE),
+        _ if bytes.len() >= 4 && zeros(1) == 0 && zeros(0) > most => Some(UTF_16BE),
+        _ => None,
+    }
+}

@@ -1,0 +1,167 @@
+//! One recording in every encoding, with every separator, decimal mark and time format, is one set of values.
+
+use std::path::Path;
+
+use proptest::prelude::*;
+
+use super::map::{DecimalMark, RecordingMap};
+use super::number::{parse_iso_s, parse_number};
+use super::*;
+
+const MAP: &str = r#"version = 1
+name = "own"
+time.clock = { column = "Zeit" }
+
+[layout.pairs]
+event = "Größe"
+spacing = { column = "Abstand", unit = "cm" }
+follower_speed = { column = "v" }
+leader_speed = { column = "v vorn" }
+"#;
+
+#[derive(Debug, Clone)]
+struct Writing {
+    /// UTF-8, with a mark, UTF-16 LE and BE, each with and without a mark, Latin-1.
+    encoding: usize,
+    delimiter: char,
+    is_decimal_comma: bool,
+    thousands: &'static str,
+    has_quotes: bool,
+    comment: Option<char>,
+    /// s, ms, us, ns since 1970, ISO 8601.
+    time: usize,
+    line_end: &'static str,
+}
+
+fn any_writing() -> impl Strategy<Value = Writing> {
+    let marks = (prop::bool::ANY, 0..4_usize, prop::bool::ANY);
+    let lines = (prop::option::of(prop::sample::select(vec!['#', '%'])), prop::sample::select(vec!["\n", "\r\n"]));
+    (0..7_usize, prop::sample::select(vec![',', ';', '\t']), marks, lines, 0..5_usize).prop_map(
+        |(encoding, delimiter, (is_decimal_comma, thousands, has_quotes), (comment, line_end), time)| {
+            let thousands = ["", "'", "\u{a0}", if is_decimal_comma { "." } else { "," }][thousands];
+            let has_quotes = has_quotes || delimiter == ',' && (is_decimal_comma || thousands == ",");
+            Writing { encoding, delimiter, is_decimal_comma, thousands, has_quotes, comment, time, line_end }
+        },
+    )
+}
+
+impl Writing {
+    fn number(&self, value: f64, decimals: usize) -> String {
+        let plain = format!("{value:.decimals$}");
+        let (whole, fraction) = plain.split_once('.').expect("decimals");
+        let (front, back) = whole.split_at(whole.len().saturating_sub(3));
+        let separator = if front.is_empty() { "" } else { self.thousands };
+        format!("{front}{separator}{back}{}{fraction}", if self.is_decimal_comma { ',' } else { '.' })
+    }
+
+    fn write(&self, rows: &[[f64; 4]]) -> Vec<u8> {
+        let mut text = String::new();
+        let mut line = |fields: [String; 5]| {
+            let quoted = |field: String| if self.has_quotes { format!("\"{field}\"") } else { field };
+            text += &fields.map(quoted).join(&self.delimiter.to_string());
+            text += self.line_end;
+            if let Some(letter) = self.comment {
+                text += &format!("{letter} \"measured\", with 1,5 {}{}", self.delimiter, self.line_end);
+            }
+        };
+        line(["Zeit", "Größe", "Abstand", "v", "v vorn"].map(str::to_owned));
+        for [time_s, values @ ..] in rows {
+            // 1 March 2024, 12:00 UTC.
+            let ms = 1_709_294_400_000 + (time_s * 1000.0).round() as u64;
+            let time = match self.time {
+                0 => format!("{}.{:03}", ms / 1000, ms % 1000),
+                1 => ms.to_string(),
+                2 => format!("{ms}000"),
+                3 => format!("{ms}000000"),
+                _ => format!("2024-03-01T13:00:{:02}.{:03}+01:00", ms / 1000 % 60, ms % 1000),
+            };
+            let time = if self.is_decimal_comma && self.time == 0 { time.replace('.', ",") } else { time };
+            let [gap, follower, leader] = values;
+            line([
+                time,
+                "ä1".to_owned(),
+                self.number(100.0 * gap, 1),
+                self.number(*follower, 3),
+                self.number(*leader, 3),
+            ]);
+        }
+        let marked = format!("\u{feff}{text}");
+        match self.encoding {
+            0 => text.into_bytes(),
+            1 => marked.into_bytes(),
+            2 => marked.encode_utf16().flat_map(u16::to_le_bytes).collect(),
+            3 => marked.encode_utf16().flat_map(u16::to_be_bytes).collect(),
+            4 => text.encode_utf16().flat_map(u16::to_le_bytes).collect(),
+            5 => text.encode_utf16().flat_map(u16::to_be_bytes).collect(),
+            _ => text.chars().map(|letter| u8::try_from(u32::from(letter)).expect("Latin-1")).collect(),
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
+    #[test]
+    fn one_recording_is_read_alike_however_it_is_written(
+        writing in any_writing(),
+        speeds in prop::collection::vec(0.0..40.0_f64, 2..40),
+        step in 1..9_u32,
+    ) {
+        // The gap stays the same between vehicles of the same speed.
+        let rows = speeds.iter().enumerate().map(|(index, &speed)| {
+            let speed_mps = (speed * 1000.0).round() / 1000.0;
+            [0.1 * index as f64, f64::from(step) * 4.001, speed_mps, speed_mps]
+        });
+        let rows: Vec<[f64; 4]> = rows.collect();
+        let map = RecordingMap::from_toml(MAP, Path::new("m.toml")).expect("a map");
+        let recording = read(&writing.write(&rows)[..], Path::new("a.csv"), Some(&map));
+        let recording = recording.map_err(|error| TestCaseError::fail(error.to_string()))?;
+        let text = &recording.text;
+        prop_assert!(recording.platoons.iter().all(|part| part.event.as_deref() == Some("ä1")), "{text:?}");
+        let samples = recording.platoons.iter().flat_map(|part| {
+            let [leader, follower] = &part.vehicles[..] else { panic!("not a pair") };
+            let values = part.gap_ahead_m(1).iter().zip(&follower.speed_mps).zip(&leader.speed_mps);
+            part.time_s.iter().zip(values).map(|(time, ((gap, follower), leader))| {
+                [*time - 1_709_294_400.0, gap.expect("known"), follower.expect("known"), leader.expect("known")]
+            })
+        });
+        let samples: Vec<[f64; 4]> = samples.collect();
+        prop_assert_eq!(samples.len(), rows.len());
+        for (found, written) in samples.iter().zip(&rows) {
+            // Gaps are written to a millimetre.
+            let is_equal = found.iter().zip(written).all(|(a, b)| (a - b).abs() < 1.1e-3);
+            prop_assert!(is_equal, "{found:?} {written:?} {text:?}");
+        }
+        let shown = text.to_string();
+        prop_assert_eq!(shown.contains("ISO 8601"), writing.time == 4);
+        prop_assert_eq!(shown.contains("windows-1252"), writing.encoding == 6);
+    }
+
+    #[test]
+    fn numbers_are_never_misread(text in "[-+0-9.,' e]{0,9}") {
+        for decimal in [DecimalMark::Point, DecimalMark::Comma] {
+            let Some(number) = parse_number(&text, decimal) else { continue };
+            let mark = if decimal == DecimalMark::Point { '.' } else { ',' };
+            let plain: String = text.chars().filter(|letter| !".,' ".contains(*letter) || *letter == mark).collect();
+            prop_assert_eq!(Some(number), plain.replace(',', ".").parse().ok());
+        }
+    }
+}
+
+#[test]
+fn numbers_and_times_are_read_as_written() {
+    let [point, comma] = [DecimalMark::Point, DecimalMark::Comma].map(|mark| move |text| parse_number(text, mark));
+    assert_eq!(
+        ["1,234.5", "1'234.5", "1,23", "0,123", "12,34,567"].map(&point),
+        [Some(1234.5), Some(1234.5), None, None, None]
+    );
+    assert_eq!(
+        ["1.234,5", "-0,5e-1", "1.5", "7", "1.234"].map(&comma),
+        [Some(1234.5), Some(-0.05), None, Some(7.0), Some(1234.0)]
+    );
+    let times = ["1970-01-01T00:00:00Z", "2024-02-29 12:00:00,25", "2000-03-01T00:00+01:00", "00:01:02.5"];
+    assert_eq!(times.map(parse_iso_s), [Some(0.0), Some(1_709_208_000.25), Some(951_865_200.0), Some(62.5)]);
+    for wrong in ["", "2024", "2024-13-01T00:00", "2024-01-01T00:60", "2024-01-01Tx", "12:00:00.", "1.5", "é:00:00"] {
+        assert_eq!(parse_iso_s(wrong), None, "{wrong}");
+    }
+}

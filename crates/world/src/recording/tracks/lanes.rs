@@ -1,0 +1,88 @@
+//! Lane ids that hold only briefly, and the direction of travel of each lane.
+
+use std::collections::BTreeMap;
+
+use super::split::{DirectionVotes, track_votes};
+use super::{ReferencePoint, TrackPoint};
+
+/// Mean signed speed that shows the direction of a vehicle in a lane without moving traffic, in m/s.
+const MIN_SIGNED_SPEED_MPS: f64 = 0.1;
+
+/// Replaces lane ids that a track has for less than `shortest_ms` by the lane before; at the start of a track by the
+/// lane after. Returns the first replaced point and the number of replaced intervals.
+///
+/// A track that has no lane for that long keeps its lanes.
+pub(super) fn remove_blips(points: &mut [TrackPoint], shortest_ms: i64) -> Option<(TrackPoint, usize)> {
+    let mut found: Option<(TrackPoint, usize)> = None;
+    for track in points.chunk_by_mut(|a, b| a.track == b.track) {
+        let is_stable = lane_intervals(track, shortest_ms);
+        let Some(first_stable) = is_stable.iter().position(|&stable| stable) else { continue };
+        let Some(mut lane) = track.get(first_stable).map(|point| point.lane) else { continue };
+        let mut was_blip = false;
+        for (point, stable) in track.iter_mut().zip(is_stable) {
+            if stable {
+                lane = point.lane;
+            }
+            let is_blip = point.lane != lane;
+            if is_blip && !was_blip {
+                found.get_or_insert((*point, 0)).1 += 1;
+            }
+            (point.lane, was_blip) = (lane, is_blip);
+        }
+    }
+    found
+}
+
+/// Returns for each point whether the track has its lane for at least `shortest_ms` around it.
+fn lane_intervals(track: &[TrackPoint], shortest_ms: i64) -> Vec<bool> {
+    // The last row holds for a step; a longer absence shows nothing about the lane.
+    let steps = track.windows(2).filter_map(|pair| Some(pair.last()?.time_ms - pair.first()?.time_ms));
+    let step_ms = steps.min().unwrap_or(0);
+    let mut is_stable = Vec::with_capacity(track.len());
+    for interval in track.chunk_by(|a, b| a.lane == b.lane) {
+        let lasts_ms = interval.first().zip(interval.last()).map_or(0, |(first, last)| last.time_ms - first.time_ms);
+        is_stable.resize(is_stable.len() + interval.len(), lasts_ms + step_ms >= shortest_ms);
+    }
+    is_stable
+}
+
+/// Determines the direction of travel of each track, and the front bumper of each point. A standing vehicle has the
+/// direction of the traffic in its lane.
+pub(super) fn orient(points: &mut [TrackPoint], reference: ReferencePoint, speeds_agree: bool) {
+    let mut of_lane: BTreeMap<u32, DirectionVotes> = BTreeMap::new();
+    let mut of_all = DirectionVotes::default();
+    let mut directions = Vec::new();
+    for track in points.chunk_by(|a, b| a.track == b.track) {
+        let votes = track_votes(track, speeds_agree);
+        directions.push(votes.decreases());
+        for interval in track.chunk_by(|a, b| a.lane == b.lane) {
+            let votes = track_votes(interval, speeds_agree);
+            let lane = interval.first().map_or(0, |point| point.lane);
+            for sum in [of_lane.entry(lane).or_default(), &mut of_all] {
+                (sum.up, sum.down) = (sum.up + votes.up, sum.down + votes.down);
+            }
+        }
+    }
+    let is_down = |votes: &DirectionVotes| (votes.up != votes.down).then_some(votes.down > votes.up);
+    for (track, direction) in points.chunk_by_mut(|a, b| a.track == b.track).zip(directions) {
+        let speeds = || track.iter().filter_map(|point| point.speed_mps);
+        let signed_mps = speeds().sum::<f64>() / speeds().count().max(1) as f64;
+        let by_speed = (signed_mps < -MIN_SIGNED_SPEED_MPS).then_some(true);
+        for point in track {
+            let by_lane = || of_lane.get(&point.lane).and_then(is_down);
+            let decreases = direction.or_else(by_lane).or(by_speed).or_else(|| is_down(&of_all)).unwrap_or(false);
+            // Vehicles do not overlap, so a point without length still sorts correctly in its lane.
+            let (position_m, length_m) = (point.position_m.unwrap_or(0.0), point.length_m.unwrap_or(0.0));
+            let to_front_m = match reference {
+                ReferencePoint::Front => 0.0,
+                ReferencePoint::Centre => length_m / 2.0,
+                ReferencePoint::Rear => length_m,
+                ReferencePoint::LowEnd if decreases => 0.0,
+                ReferencePoint::LowEnd => length_m,
+            };
+            point.position_decreases = decreases;
+            point.front_m = to_front_m + if decreases { -position_m } else { position_m };
+            point.speed_mps = point.speed_mps.map(f64::abs);
+        }
+    }
+}

@@ -1,0 +1,133 @@
+//! Tracks: the stage between the rows of a recording of traffic and its episodes.
+//!
+//! 1. [`split`] divides the rows of each vehicle id into tracks, where a position starts anew or an id is used again,
+//!    and determines the direction of travel of each from the movement between rows.
+//! 2. [`lanes`] replaces lane ids that hold only briefly, and gives standing vehicles the direction of their lane.
+//! 3. [`fill`] interpolates short holes, as the map demands.
+//! 4. [`link`] links leaders and followers at each instant, except across vehicles whose place is unknown.
+
+mod fill;
+mod lanes;
+mod lead;
+mod link;
+mod split;
+#[cfg(test)]
+mod tests;
+
+use super::dropped::Omission;
+use super::map::ReferencePoint;
+use super::table::excerpt;
+
+/// Vehicles with changing neighbours.
+#[derive(Debug, Clone, PartialEq, Default)]
+pub struct RecordedTraffic {
+    /// Points sorted by track, then by time. The tracks of one vehicle are in order of time.
+    points: Vec<TrackPoint>,
+    vehicles: Vec<VehicleId>,
+}
+
+/// Identity of a vehicle.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) struct VehicleId {
+    /// Id in the file; order of the first row, from 1, if ids are text.
+    pub(super) number: usize,
+    /// Id in the file, if it is text.
+    pub(super) name: Option<String>,
+}
+
+/// State of a vehicle at one time.
+#[derive(Debug, Clone, Copy, PartialEq, Default)]
+pub(super) struct TrackPoint {
+    /// Index of the vehicle's id.
+    pub(super) vehicle: u32,
+    pub(super) track: u32,
+    pub(super) lane: u32,
+    pub(super) time_ms: i64,
+    pub(super) line: u64,
+    /// Position along the road, as recorded, in metres.
+    pub(super) position_m: Option<f64>,
+    /// Speed as recorded, of either sign, in m/s; without sign after orientation.
+    pub(super) speed_mps: Option<f64>,
+    pub(super) length_m: Option<f64>,
+    /// Front bumper in the direction of driving, in metres; meaningless if position or length is unknown.
+    pub(super) front_m: f64,
+    /// True if positions decrease as the vehicle drives.
+    pub(super) position_decreases: bool,
+    /// Gap ahead, in metres, and index of the leader's point.
+    pub(super) ahead: Option<(f64, u32)>,
+    /// Index of the follower's point.
+    pub(super) behind: Option<u32>,
+}
+
+/// Settings of the map for tracks.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct TrackRules<'m> {
+    pub(super) vehicle_column: &'m str,
+    pub(super) reference: ReferencePoint,
+    /// Longest hole that is interpolated, in seconds.
+    pub(super) interpolate_s: f64,
+    /// Lane ids that hold for less are blips, in seconds.
+    pub(super) lane_blip_s: f64,
+    /// False if speeds contradict positions, so that speeds cannot show where a position starts anew.
+    pub(super) speeds_agree: bool,
+}
+
+/// Occurrences of one kind: line of the first, and number.
+type Occurrences = Option<(u64, usize)>;
+
+fn count(occurrences: &mut Occurrences, line: u64) {
+    occurrences.get_or_insert((line, 0)).1 += 1;
+}
+
+fn to_ms(seconds: f64) -> i64 {
+    (seconds * 1000.0).round() as i64
+}
+
+/// Sorts points by vehicle and time, and keeps the first of several points of a vehicle at one time. Returns the first
+/// duplicate and the number of duplicates.
+pub(super) fn sort(points: &mut Vec<TrackPoint>) -> Option<(TrackPoint, usize)> {
+    points.sort_unstable_by_key(|point| (point.vehicle, point.time_ms, point.line));
+    let mut duplicate: Option<(TrackPoint, usize)> = None;
+    points.dedup_by(|later, first| {
+        let is_twice = (later.vehicle, later.time_ms) == (first.vehicle, first.time_ms);
+        if is_twice {
+            duplicate.get_or_insert((*later, 0)).1 += 1;
+        }
+        is_twice
+    });
+    duplicate
+}
+
+impl RecordedTraffic {
+    /// Builds tracks from sorted points, and links leaders and followers. Appends omissions, with the line of their
+    /// first occurrence. The error is the line at which interpolation makes too many points.
+    pub(super) fn build(
+        mut points: Vec<TrackPoint>,
+        vehicles: Vec<VehicleId>,
+        rules: TrackRules<'_>,
+        dropped: &mut Vec<(u64, Omission)>,
+    ) -> Result<Self, u64> {
+        if let Some((first, count)) = split::split(&mut points, rules.speeds_agree) {
+            dropped.push((first.line, Omission::TracksSplit { vehicle: label(&vehicles, first.vehicle), count }));
+        }
+        if let Some((first, count)) = lanes::remove_blips(&mut points, to_ms(rules.lane_blip_s)) {
+            let (vehicle, limit_s) = (label(&vehicles, first.vehicle), rules.lane_blip_s);
+            dropped.push((first.line, Omission::LaneBlips { vehicle, count, limit_s }));
+        }
+        if let Some((line, count)) = fill::fill_holes(&mut points, rules.interpolate_s)? {
+            dropped.push((line, Omission::Interpolated { column: excerpt(rules.vehicle_column), count }));
+        }
+        lanes::orient(&mut points, rules.reference, rules.speeds_agree);
+        let problems = link::link(&mut points);
+        dropped.extend(problems.unknown_position.map(|(line, count)| (line, Omission::UnknownPosition { count })));
+        dropped.extend(problems.absent.map(|(line, count)| (line, Omission::AbsentVehicles { count })));
+        dropped.extend(problems.overlapping.map(|(line, count)| (line, Omission::Overlapping { count })));
+        Ok(Self { points, vehicles })
+    }
+}
+
+/// Returns the id of a vehicle as recorded.
+pub(super) fn label(vehicles: &[VehicleId], vehicle: u32) -> String {
+    let id = vehicles.get(vehicle as usize);
+    id.map(|id| id.name.clone().unwrap_or_else(|| id.number.to_string())).unwrap_or_default()
+}
