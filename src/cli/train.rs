@@ -90,7 +90,7 @@ pub(super) struct Train {
 
 fn parse_space_share(words: &str) -> Result<TrainingSpace, String> {
     let (space, weight) = args::parse_weighted_name(words)?;
-    Ok(TrainingSpace { space, weight, cost_multiplier: 1.0 })
+    Ok(TrainingSpace { space, weight, cost_multiplier: 1.0, uniform_share: 0.0 })
 }
 
 /// Contents of `training.json`: all finished trainings in the folder.

@@ -4,7 +4,7 @@ use rand::RngExt;
 use serde::{Deserialize, Serialize};
 
 use super::config_error::{TrainingConfigError, check_range};
-use super::serde_helpers::{is_one, one};
+use super::serde_helpers::{is_default, is_one, one};
 use super::source::{PaperSource, ScenarioSource, unsuitability};
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::space::{ScenarioSpace, find_space};
@@ -31,6 +31,10 @@ pub struct TrainingSpace {
     /// Factor on the weights of all costs in its episodes.
     #[serde(rename = "costs_times", default = "one::<f64>", skip_serializing_if = "is_one")]
     pub cost_multiplier: f64,
+    /// Share of its episodes, from 0 to 1, at points that are uniform over the ranges of its parameters, so that rare
+    /// values are learned, too.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub uniform_share: f64,
 }
 
 /// Random mixture of several spaces.
@@ -45,7 +49,11 @@ struct SpaceComponent {
     share: f64,
     cumulative_share: f64,
     cost_multiplier: f64,
+    uniform_share: f64,
 }
+
+/// Separates the random stream of uniform points from those of samples.
+const UNIFORM_SEED_INDEX: u64 = u64::MAX - 5;
 
 /// Separates the random stream of this mixture from those of other mixtures.
 const COMPONENT_SEED_INDEX: u64 = u64::MAX - 3;
@@ -59,7 +67,8 @@ impl SpaceMixture {
         check_spaces(shares)?;
         let total: f64 = shares.iter().map(|share| share.weight).sum();
         let (mut parts, mut below) = (Vec::<SpaceComponent>::new(), 0.0);
-        for (index, TrainingSpace { space: name, weight, cost_multiplier: costs_times }) in shares.iter().enumerate() {
+        for (index, TrainingSpace { space: name, weight, cost_multiplier, uniform_share }) in shares.iter().enumerate()
+        {
             let problem = |problem| TrainingConfigError::field(format!("spaces[{index}].space"), problem);
             let space = find_space(name).map_err(|error| problem(error.to_string()))?;
             let first =
@@ -73,7 +82,8 @@ impl SpaceMixture {
             }
             let share = weight / total;
             below += share;
-            parts.push(SpaceComponent { space, share, cumulative_share: below, cost_multiplier: *costs_times });
+            let (cost_multiplier, uniform_share) = (*cost_multiplier, *uniform_share);
+            parts.push(SpaceComponent { space, share, cumulative_share: below, cost_multiplier, uniform_share });
         }
         Ok(Self { components: parts })
     }
@@ -92,10 +102,22 @@ impl SpaceMixture {
     }
 }
 
+impl SpaceComponent {
+    fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
+        let seed_of_points = random::derived_seed(seed, UNIFORM_SEED_INDEX);
+        let mut stream = random::stream(seed_of_points, Purpose::ScenarioSampling, index);
+        if stream.random::<f64>() >= self.uniform_share {
+            return self.space.draw(seed, index);
+        }
+        let point: Vec<f64> = (0..self.space.dimension()).map(|_| stream.random()).collect();
+        self.space.scenario_at_with_seed(&point, random::derived_seed(seed_of_points, index))
+    }
+}
+
 impl ScenarioSource for SpaceMixture {
     fn draw(&self, seed: u64, index: u64) -> Result<Scenario, InvalidField> {
         match self.component_for(seed, index) {
-            Some(part) => part.space.draw(seed, index),
+            Some(part) => part.draw(seed, index),
             None => PaperSource.draw(seed, index),
         }
     }
@@ -116,7 +138,11 @@ impl ScenarioSource for SpaceMixture {
             } else {
                 format!(", whose costs count {} times", part.cost_multiplier)
             };
-            Ok(format!("a share of {} of {name}{costs}", part.share))
+            let uniform = match part.uniform_share {
+                0.0 => String::new(),
+                share => format!(", {share} of them uniform over its ranges"),
+            };
+            Ok(format!("a share of {} of {name}{costs}{uniform}", part.share))
         });
         Ok(Some(named.collect::<Result<Vec<_>, serde_json::Error>>()?.join(", ")))
     }
@@ -128,9 +154,10 @@ pub(super) fn check_spaces(shares: &[TrainingSpace]) -> Result<(), TrainingConfi
         let problem = format!("must have at most {MAX_SPACES} spaces, found {}", shares.len());
         return Err(TrainingConfigError::field("spaces", problem));
     }
-    for (index, TrainingSpace { space, weight, cost_multiplier: costs_times }) in shares.iter().enumerate() {
+    for (index, TrainingSpace { space, weight, cost_multiplier, uniform_share }) in shares.iter().enumerate() {
         check_range(&format!("spaces[{index}].weight"), *weight, WEIGHT_RANGE)?;
-        check_range(&format!("spaces[{index}].costs_times"), *costs_times, [0.0, MAX_COST_MULTIPLIER])?;
+        check_range(&format!("spaces[{index}].costs_times"), *cost_multiplier, [0.0, MAX_COST_MULTIPLIER])?;
+        check_range(&format!("spaces[{index}].uniform_share"), *uniform_share, [0.0, 1.0])?;
         if shares.iter().take(index).any(|earlier| earlier.space == *space) {
             let problem = format!("`{space}` is named twice: {ONE_WEIGHT_HINT}");
             return Err(TrainingConfigError::field(format!("spaces[{index}].space"), problem));
@@ -145,7 +172,7 @@ mod tests {
     use crate::rl::{EpisodeConstants, TrainingConfig};
 
     fn training_space(space: &str, weight: f64) -> TrainingSpace {
-        TrainingSpace { space: space.to_owned(), weight, cost_multiplier: 1.0 }
+        TrainingSpace { space: space.to_owned(), weight, cost_multiplier: 1.0, uniform_share: 0.0 }
     }
 
     #[test]
