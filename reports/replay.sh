@@ -11,22 +11,6 @@ run simulate counterexamples/paper/baseline/01-2-hits-1.toml --controller baseli
 run simulate counterexamples/paper/baseline/01-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/baseline/02-2-hits-1.toml --controller baseline --expect collision
 run simulate counterexamples/paper/baseline/02-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/paper/baseline-unlatched/01-2-hits-1.toml --controller baseline-unlatched --expect collision
-run simulate counterexamples/paper/baseline-unlatched/01-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/paper/baseline-unlatched/02-2-hits-1.toml --controller baseline-unlatched --expect collision
-run simulate counterexamples/paper/baseline-unlatched/02-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/paper/match-leader/01-2-hits-1.toml --controller match-leader --expect collision
-run simulate counterexamples/paper/match-leader/01-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/paper/match-leader/02-2-hits-1.toml --controller match-leader --expect collision
-run simulate counterexamples/paper/match-leader/02-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/paper/match-leader/03-2-hits-1.toml --controller match-leader --expect collision
-run simulate counterexamples/paper/match-leader/03-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/paper/match-leader/04-2-hits-1.toml --controller match-leader --expect collision
-run simulate counterexamples/paper/match-leader/04-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/paper/constant-brake/01-1-hits-0.toml --controller constant-brake --expect collision
-run simulate counterexamples/paper/constant-brake/01-1-hits-0-escape.toml --expect safe
-run simulate counterexamples/paper/constant-brake/02-2-hits-1.toml --controller constant-brake --expect collision
-run simulate counterexamples/paper/constant-brake/02-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/idm/01-2-hits-1.toml --controller idm --expect collision
 run simulate counterexamples/paper/idm/01-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/paper/idm/02-2-hits-1.toml --controller idm --expect collision
@@ -55,54 +39,6 @@ run simulate counterexamples/high-risk/baseline/02-1-hits-0.toml --controller ba
 run simulate counterexamples/high-risk/baseline/02-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/baseline/03-2-hits-1.toml --controller baseline --expect collision
 run simulate counterexamples/high-risk/baseline/03-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/baseline-unlatched/01-1-hits-0.toml --controller baseline-unlatched --expect collision
-run simulate counterexamples/high-risk/baseline-unlatched/01-1-hits-0-escape.toml --expect safe
-run simulate counterexamples/high-risk/baseline-unlatched/02-2-hits-1.toml --controller baseline-unlatched --expect collision
-run simulate counterexamples/high-risk/baseline-unlatched/02-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/baseline-unlatched/03-2-hits-1.toml --controller baseline-unlatched --expect collision
-run simulate counterexamples/high-risk/baseline-unlatched/03-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/match-leader/01-2-hits-1.toml --controller match-leader --expect collision
-run simulate counterexamples/high-risk/match-leader/01-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/match-leader/02-2-hits-1.toml --controller match-leader --expect collision
-run simulate counterexamples/high-risk/match-leader/02-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/match-leader/03-2-hits-1.toml --controller match-leader --expect collision
-run simulate counterexamples/high-risk/match-leader/03-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/match-leader/04-2-hits-1.toml --controller match-leader --expect collision
-run simulate counterexamples/high-risk/match-leader/04-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/match-leader/05-2-hits-1.toml --controller match-leader --expect collision
-run simulate counterexamples/high-risk/match-leader/05-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/match-leader/06-2-hits-1.toml --controller match-leader --expect collision
-run simulate counterexamples/high-risk/match-leader/06-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/match-leader/07-1-hits-0.toml --controller match-leader --expect collision
-run simulate counterexamples/high-risk/match-leader/07-1-hits-0-escape.toml --expect safe
-run simulate counterexamples/high-risk/match-leader/08-2-hits-1.toml --controller match-leader --expect collision
-run simulate counterexamples/high-risk/match-leader/08-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/match-leader/09-1-hits-0.toml --controller match-leader --expect collision
-run simulate counterexamples/high-risk/match-leader/09-1-hits-0-escape.toml --expect safe
-run simulate counterexamples/high-risk/match-leader/10-1-hits-0.toml --controller match-leader --expect collision
-run simulate counterexamples/high-risk/match-leader/10-1-hits-0-escape.toml --expect safe
-run simulate counterexamples/high-risk/match-leader/11-1-hits-0.toml --controller match-leader --expect collision
-run simulate counterexamples/high-risk/match-leader/11-1-hits-0-escape.toml --expect safe
-run simulate counterexamples/high-risk/constant-brake/01-1-hits-0.toml --controller constant-brake --expect collision
-run simulate counterexamples/high-risk/constant-brake/01-1-hits-0-escape.toml --expect safe
-run simulate counterexamples/high-risk/constant-brake/02-2-hits-1.toml --controller constant-brake --expect collision
-run simulate counterexamples/high-risk/constant-brake/02-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/constant-brake/03-2-hits-1.toml --controller constant-brake --expect collision
-run simulate counterexamples/high-risk/constant-brake/03-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/constant-brake/04-2-hits-1.toml --controller constant-brake --expect collision
-run simulate counterexamples/high-risk/constant-brake/04-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/constant-brake/05-2-hits-1.toml --controller constant-brake --expect collision
-run simulate counterexamples/high-risk/constant-brake/05-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/constant-brake/06-1-hits-0.toml --controller constant-brake --expect collision
-run simulate counterexamples/high-risk/constant-brake/06-1-hits-0-escape.toml --expect safe
-run simulate counterexamples/high-risk/constant-brake/07-1-hits-0.toml --controller constant-brake --expect collision
-run simulate counterexamples/high-risk/constant-brake/07-1-hits-0-escape.toml --expect safe
-run simulate counterexamples/high-risk/constant-brake/08-1-hits-0.toml --controller constant-brake --expect collision
-run simulate counterexamples/high-risk/constant-brake/08-1-hits-0-escape.toml --expect safe
-run simulate counterexamples/high-risk/constant-brake/09-2-hits-1.toml --controller constant-brake --expect collision
-run simulate counterexamples/high-risk/constant-brake/09-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/constant-brake/10-1-hits-0.toml --controller constant-brake --expect collision
-run simulate counterexamples/high-risk/constant-brake/10-1-hits-0-escape.toml --expect safe
 run simulate counterexamples/high-risk/idm/01-2-hits-1.toml --controller idm --expect collision
 run simulate counterexamples/high-risk/idm/02-2-hits-1.toml --controller idm --expect collision
 run simulate counterexamples/high-risk/idm/02-2-hits-1-escape.toml --expect safe
@@ -188,25 +124,29 @@ run simulate counterexamples/high-risk/shield-policy/08-2-hits-1-escape.toml --e
 run simulate counterexamples/high-risk/shield-policy/09-1-hits-0.toml --controller shield:policy --expect collision
 run simulate counterexamples/high-risk/shield-policy/10-2-hits-1.toml --controller shield:policy --expect collision
 run simulate counterexamples/high-risk/shield-policy/10-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/retrained/01-1-hits-0.toml --controller retrained --expect collision
-run simulate counterexamples/high-risk/retrained/01-1-hits-0-escape.toml --expect safe
-run simulate counterexamples/high-risk/retrained/02-2-hits-1.toml --controller retrained --expect collision
-run simulate counterexamples/high-risk/retrained/03-2-hits-1.toml --controller retrained --expect collision
-run simulate counterexamples/high-risk/retrained/04-2-hits-1.toml --controller retrained --expect collision
-run simulate counterexamples/high-risk/retrained/04-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/retrained/05-2-hits-1.toml --controller retrained --expect collision
-run simulate counterexamples/high-risk/retrained/05-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/retrained/06-2-hits-1.toml --controller retrained --expect collision
-run simulate counterexamples/high-risk/retrained/07-2-hits-1.toml --controller retrained --expect collision
-run simulate counterexamples/high-risk/retrained/07-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/01-2-hits-1.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/01-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/02-1-hits-0.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/02-1-hits-0-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/03-2-hits-1.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/03-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/04-2-hits-1.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/04-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/05-1-hits-0.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/05-1-hits-0-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/06-2-hits-1.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/06-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/07-2-hits-1.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/07-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/08-2-hits-1.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/08-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/09-2-hits-1.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/09-2-hits-1-escape.toml --expect safe
 run worst-case paper-1 --controller baseline
-run worst-case paper-1 --controller baseline-unlatched
-run worst-case paper-1 --controller match-leader
-run worst-case paper-1 --controller constant-brake
 run worst-case paper-1 --controller idm
 run worst-case paper-1 --controller acc-aeb
 run worst-case paper-1 --controller predictive
 run worst-case paper-1 --controller policy
 run worst-case paper-1 --controller shield:policy
-run worst-case paper-1 --controller retrained
+run worst-case paper-1 --controller road
 exit $failed

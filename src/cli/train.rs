@@ -29,12 +29,11 @@ Presets:
   fast       solves the paper's task within about a minute per seed (default)
   paper-net  the paper's networks and reward with corrections: reaches the paper's reward, but does not keep it
   paper      the paper's exact settings: takes many hours, and does not reach the paper's reward
-  road       safe in emergencies and useful in traffic: all built-in spaces, TD3, costs for discomfort and \
-for obstructing traffic
+  road       safe in emergencies and useful in traffic: imitates the controller `predictive` in all built-in spaces
 
 The algorithm is DDPG, or TD3 if a preset says so (Fujimoto, van Hoof and Meger 2018): in `[td3]`, `twin_critic = \
 true` uses the minimum of two critics, `actor_every = 2` updates the actor every second time, and `target_noise = \
-0.2` and `target_noise_limit = 0.5` add noise to target actions. `road` and the preset of `crumple retrain` use TD3. \
+0.2` and `target_noise_limit = 0.5` add noise to target actions. The preset of `crumple retrain` uses TD3. \
 A preset of your own is a file like the built-in ones (schema: crates/learn/src/rl/training.schema.json), with \
 rewards (`[environment]` and `[environment.costs]`), observations (`[environment.observation]`) and spaces \
 (`[[spaces]]`). Policies of other algorithms can be imported (docs/controllers.md).

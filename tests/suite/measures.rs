@@ -36,7 +36,7 @@ fn five_measures_of_the_report_follow_from_the_exported_trace() {
     let report =
         fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/reports/assessment.json")).expect("committed");
     let report: Value = serde_json::from_str(&report).expect("JSON");
-    for controller in ["match-leader", "constant-brake", "idm", "policy"] {
+    for controller in ["acc-aeb", "idm", "policy", "road"] {
         let arguments = format!("simulate paper-1 --controller {controller} --trace trace.csv");
         assert_eq!(exit_code(&run_crumple(folder.path(), &arguments)), 0);
         let tracks = parse_tracks(&fs::read_to_string(folder.path().join("trace.csv")).expect("written"));

@@ -25,13 +25,22 @@ enum Source {
 }
 
 /// The source of each row, which begins with the text beside it.
-const SOURCES: [(&str, Source); 8] = [
+const SOURCES: [(&str, Source); 9] = [
     (
         "collisions in 1000",
         Source::Report(&[
             ("| no collision in 1000 random scenarios of `paper` (seed 0) |", "✗ "),
             ("| no collision in 1000 random scenarios of `paper` (seed 0) |", "✓ "),
             ("| no collision in the paper's scenarios |", "✓ "),
+        ]),
+    ),
+    (
+        "collisions in 200",
+        Source::Report(&[
+            ("| idm |", "| idm | "),
+            ("| acc-aeb |", "| acc-aeb | "),
+            ("| predictive |", "| predictive | "),
+            ("| road |", "| road | "),
         ]),
     ),
     (

@@ -51,6 +51,7 @@ fn the_training_schema_accepts_the_presets_and_refuses_nonsense() {
         let table: toml::Table = toml::to_string(&preset).unwrap().parse().unwrap();
         assert_eq!(parsed(&table).unwrap(), preset, "a preset survives being written");
         let mut without_history = serde_json::to_value(&preset.environment.observation).unwrap();
+        without_history["history"] = serde_json::json!(1);
         without_history["history_every"] = serde_json::json!(5);
         for (place, nonsense) in [
             ("/version", serde_json::json!("one")),

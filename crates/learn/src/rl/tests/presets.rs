@@ -142,6 +142,8 @@ fn contradictory_settings_are_named() {
     let road = PRESETS[3].1;
     let all = include_str!("every-field.toml");
     let without_inputs = |line: &&str| !line.contains("{ offset");
+    let residual = fast.to_owned() + "\n[environment.departs_from]\ndead_zone = 0.3\nrate_per_s = 4.0\nidm = {}\n";
+    let without_history = road.replace("history = 5\n", "");
     let nothing_seen = fast.lines().filter(without_inputs).collect::<Vec<_>>().join("\n");
     // In the first line that begins with the key, the value is replaced.
     for (text, key, value, expected) in [
@@ -163,9 +165,9 @@ fn contradictory_settings_are_named() {
         (all, "smoothness_penalty", "1e-20", "learning.smoothness_penalty: must be 0, for none, or"),
         (fast, "saturation_penalty", "1e-7", "learning.saturation_penalty: must be 0, for none, or"),
         (
-            road,
-            "empty_gap_m",
-            "100.0\nhistory_every = 5",
+            &without_history,
+            "history_every",
+            "5",
             "environment.observation.history_every: is the interval between past decisions",
         ),
         (
@@ -175,8 +177,8 @@ fn contradictory_settings_are_named() {
             "learning.rates_fall.until_episode: must be above exploration.random_episodes",
         ),
         (road, "space = \"high-risk\"", "\"traffic\"", "spaces[1].space: `traffic` is named twice"),
-        (road, "idm", "{ time_headway_s = -1.3 }", "environment.departs_from.idm.time_headway_s: must be between"),
-        (road, "idm", "{ haste = 1.0 }", "environment.departs_from.idm.haste: unknown field `haste`"),
+        (&residual, "idm", "{ time_headway_s = -1.3 }", "environment.departs_from.idm.time_headway_s: must be between"),
+        (&residual, "idm", "{ haste = 1.0 }", "environment.departs_from.idm.haste: unknown field `haste`"),
     ] {
         let at = text.lines().position(|line| line.starts_with(key)).unwrap();
         let changed = text.lines().enumerate().map(|(index, line)| match line.split_once(" = ") {

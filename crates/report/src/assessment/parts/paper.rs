@@ -59,10 +59,8 @@ impl PaperScenarios {
             ScenarioCases::new(scenario, replay, cases).with_avoidance(best)
         };
         let scenarios = scenarios.iter().zip(cases).zip(bests).map(with_avoidance).collect();
-        // The first controller, and the first learned one or else the second.
-        let learned = (1..plan.controllers.len()).find(|&index| plan.controllers[index].kind.is_learned());
-        let beside =
-            [Some(0), learned.or(Some(1))].into_iter().flatten().filter(|&index| index < plan.controllers.len());
+        // The first controller, and the subject or else the second.
+        let beside = [0, plan.subject_index.max(1)].into_iter().filter(|&index| index < plan.controllers.len());
         Ok(Some(Self { scenarios, side_by_side: beside.collect() }))
     }
 
