@@ -169,8 +169,8 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     let SpaceComparisonArgs { draws, controllers, figures, measured_before, spaces, seed, estimator, follower } =
         SpaceComparisonArgs::parse(arguments.iter().cloned())?;
     println!(
-        "| space | controller | contacts | into the leader | hard | needless | left behind | rms a | rms jerk | progress \
-         | time gap s | imposed |"
+        "| space | controller | contacts | into the leader | hard | needless | left behind | rms a | rms jerk | \
+         progress | time gap s | imposed |"
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
     let mark_of = |NamedController { name, .. }: &NamedController| ParetoPoint {
@@ -189,8 +189,8 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
             let rms_jerk_mps3 = (sums.squares[1] / n).sqrt();
             let bounds = RateInterval::clopper_pearson(sums.contacts, draws, 0.95);
             println!(
-                "| {space} | {name} | {} ({:.2} to {:.2}) | {} | {} | {} | {} | {:.2} | {rms_jerk_mps3:.3} | {:.3} | {:.2} \
-                 | {:.2} |",
+                "| {space} | {name} | {} ({:.2} to {:.2}) | {} | {} | {} | {} | {:.2} | {rms_jerk_mps3:.3} | {:.3} | \
+                 {:.2} | {:.2} |",
                 sums.contacts,
                 100.0 * bounds.lower,
                 100.0 * bounds.upper,

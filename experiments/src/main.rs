@@ -28,7 +28,8 @@ const EXPERIMENTS: [Experiment; 9] = [
     Experiment { name: "behind_recorded", arguments: "RECORDING.csv... CONTROLLER...", run: behind_recorded::run },
     Experiment {
         name: "both_sides",
-        arguments: "RUNS CONTROLLER... [FIGURE.svg] [MEASURED.csv] [space=SPACE]... [seed=N] [estimator=truth] [follower=CHANGE]",
+        arguments: "RUNS CONTROLLER... [FIGURE.svg] [MEASURED.csv] [space=SPACE]... [seed=N] [estimator=truth] \
+                    [follower=CHANGE]",
         run: both_sides::run,
     },
     Experiment { name: "filter_errors", arguments: "SCENARIO [FACTOR]", run: filter_errors::run },

@@ -205,9 +205,12 @@ impl Learner {
         sum
     }
 
-    /// Computes the gradient of the mean over the batch of w (loss(π(s) - e) + hard · max(0, h - π(s))² + change ·
-    /// ((π(s') - π(s)) - (e' - e))²), with the row's weight w, the expert's actions e, and the row's least action h that
-    /// is not hard braking. Returns n times that mean.
+    /// Computes the gradient of the mean over the batch of
+    ///
+    /// w (loss(π(s) - e) + hard · max(0, h - π(s))² + change · ((π(s') - π(s)) - (e' - e))²),
+    ///
+    /// with the row's weight w, the expert's actions e, and the row's least action h that is not hard braking. Returns
+    /// n times that mean.
     fn compute_imitation_gradient(&mut self, batch: &ImitationBatch, imitation: &ImitationConfig) -> f64 {
         let n = batch.actions.len() as f32;
         self.act(&batch.states);
