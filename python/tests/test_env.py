@@ -229,7 +229,7 @@ def test_memory_does_not_grow():
 def test_costs_have_the_weight_of_the_space():
     def costs(times):
         preset = crumple.training_preset("road").split("[[spaces]]")[0]
-        preset += f'[[spaces]]\nspace = "traffic"\nweight = 1\ncosts_times = {times}\n'
+        preset += f'[environment.costs]\njerk = 1\n[[spaces]]\nspace = "traffic"\nweight = 1\ncosts_times = {times}\n'
         env = PlatoonEnv(None, preset=preset)
         env.reset(seed=2)
         rewards = [env.step(np.full(1, action, np.float32))[1] for action in (0.9, -0.5, 0.9, -0.5)]
