@@ -10,7 +10,7 @@
 //!
 //! `seed=N` takes other random scenarios, `estimator=truth` shows the true state to the controllers, and `follower=`
 //! changes the vehicle behind: `later` reacts 0.5 s later, `softer` brakes with 0.7 times its deceleration, and
-//! `unaware` never brakes.
+//! `no-brake` holds its speed.
 //!
 //! Columns count random scenarios; the brackets have exact 95 % bounds in percent. `hard`: braking harder than 4 m/s²
 //! where less than 3 m/s² was necessary. `needless`: braking more than 2 m/s² harder than necessary. The measure
@@ -90,7 +90,7 @@ enum FollowerChange {
     None,
     Later,
     Softer,
-    Unaware,
+    NoBrake,
 }
 
 impl FollowerChange {
@@ -104,10 +104,13 @@ impl FollowerChange {
                 Self::None => {}
                 Self::Later => behind.reaction_delay_s += 0.5,
                 Self::Softer => {
-                    behind.max_brake_mps2 =
-                        behind.max_brake_mps2.or(Some(behind.class.max_brake_mps2())).map(|mps2| 0.7 * mps2)
+                    let brake_mps2 = behind.max_brake_mps2.unwrap_or(behind.class.max_brake_mps2());
+                    behind.max_brake_mps2 = Some(0.7 * brake_mps2);
                 }
-                Self::Unaware => behind.driver = Driver::Profile(LeadProfile::ConstantSpeed),
+                Self::NoBrake => {
+                    behind.driver = Driver::Profile(LeadProfile::ConstantSpeed);
+                    behind.reaction_delay_s = 0.0;
+                }
             }
         }
         Ok(Scenario::new(spec)?)
@@ -133,7 +136,7 @@ impl SpaceComparisonArgs {
                 follower = match name {
                     "later" => FollowerChange::Later,
                     "softer" => FollowerChange::Softer,
-                    "unaware" => FollowerChange::Unaware,
+                    "no-brake" => FollowerChange::NoBrake,
                     other => return Err(format!("`{other}` is no change of the follower").into()),
                 };
             } else if let Some(name) = argument.strip_prefix("space=") {

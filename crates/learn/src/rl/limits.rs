@@ -158,8 +158,11 @@ mod tests {
     #[test]
     fn trainings_that_do_not_fit_in_memory_are_refused() {
         for (name, _) in PRESETS {
-            let bytes = TrainingConfig::preset(name).unwrap().memory_by_field().map(|(_, bytes)| bytes);
-            assert!(bytes.iter().sum::<u64>() < MAX_MEMORY_BYTES / 2, "{name}: {bytes:?}");
+            let preset = TrainingConfig::preset(name).unwrap();
+            let bytes = preset.memory_by_field().map(|(_, bytes)| bytes);
+            // The rows of an imitation take more than transitions.
+            let share = if preset.imitation.is_some() { 2 } else { 16 };
+            assert!(bytes.iter().sum::<u64>() < MAX_MEMORY_BYTES / share, "{name}: {bytes:?}");
         }
         let mut large = TrainingConfig::preset("paper").unwrap();
         large.network.hidden = vec![1024; 4];
