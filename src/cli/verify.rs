@@ -129,9 +129,9 @@ struct RateCommand {
     /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
-    /// Run only shard I of N: a range of the blocks of runs (runs/100, at most 1000; above 100 000 000 runs, 10 000),
-    /// or with --rare of the repetitions; `crumple merge` combines shards and certifies
-    #[arg(long, value_name = "I/N")]
+    /// Run only shard I of N: a range of the blocks of runs (runs/100, at most 1000; above 100 000 000 runs, 10 000);
+    /// `crumple merge` combines shards and certifies
+    #[arg(long, value_name = "I/N", conflicts_with = "rare")]
     shard: Option<ShardId>,
     /// Folder for registration, progress and certificate [default: crumple-rate; for a shard,
     /// crumple-rate-shard-I-of-N]
@@ -273,9 +273,6 @@ impl RateCommand {
         };
         let resamples = self.resamples.unwrap_or(80);
         output::note_nothing_to_resume(self.resume, &self.out_folder(), quiet);
-        if let Some(shard) = self.shard {
-            return rare::run_shard(&plan, (shard, resamples), &self.out_folder(), self.resume, (self.format, quiet));
-        }
         rare::estimate(&plan, resamples, &self.out_folder(), self.resume, self.format, quiet)
     }
 

@@ -1,12 +1,12 @@
 #!/usr/bin/env python3
 """Tests the job files of `crumple plan` on this machine, with workers that are killed.
 
-    python3 tests/engines/try.py hyperqueue|ray [--work rate|falsify] [--rounds 10] [--runs 40000]
+    python3 tests/engines/try.py hyperqueue|ray [--rounds 10] [--runs 40000]
                                  [--crumple target/release/crumple]
-    python3 tests/engines/try.py hyperqueue --efficiency [--work rate|falsify]
+    python3 tests/engines/try.py hyperqueue --efficiency
 
 Runs shards on an engine, kills two workers at random times, restarts the job until it is complete, and merges the
-shards. The result must equal, byte by byte, that of one process (`rate`) or of eight undisturbed shards (`falsify`).
+shards. The result must equal, byte by byte, that of one process.
 
 Needs `pip install hyperqueue` or `pip install ray`. The package of HyperQueue has server and workers in one process, so
 a worker to be killed is a process with a cluster of one core and two of the eight shards. Ray's workers are processes.
@@ -35,8 +35,6 @@ class Rate:
 
     common = ["--controller=idm", "--space=high-risk", "--seed=7", "--confidence=0.99"]
     merged = "rate"
-    # Part of one process's time during which the engine's workers certainly still run.
-    busy_share = 1.0
 
     def planned(self, runs):
         return [*self.common, f"--runs={runs}"]
@@ -47,31 +45,6 @@ class Rate:
     def expected(self, crumple, runs, root):
         subprocess.run(
             [crumple, "--quiet", *self.whole(runs), f"--out={root / 'single'}"], check=True, stdout=subprocess.DEVNULL
-        )
-
-
-class Falsify(Rate):
-    """Search with a budget of `runs` evaluations for each of three methods."""
-
-    common = ["--controller=match-leader", "--space=high-risk", "--seed=7"]
-    merged = "campaign-merged"
-    # Eight sequential processes take longer.
-    busy_share = 0.3
-
-    def planned(self, runs):
-        return [*self.common, f"--budget={runs}"]
-
-    def whole(self, runs):
-        return ["falsify", *self.common, f"--budget={runs}", "--log=summary"]
-
-    def expected(self, crumple, runs, root):
-        # A divided search is eight searches: compare it with eight undisturbed shards.
-        shards = [str(root / f"undisturbed-{shard}") for shard in range(1, SHARDS + 1)]
-        for shard, folder in enumerate(shards, 1):
-            words = ["falsify", *self.common, f"--budget={runs}", f"--shard={shard}/{SHARDS}", f"--out={folder}"]
-            subprocess.run([crumple, "--quiet", *words], check=True, stdout=subprocess.DEVNULL)
-        subprocess.run(
-            [crumple, "--quiet", "merge", *shards, f"--out={root / 'single'}"], check=True, stdout=subprocess.DEVNULL
         )
 
 
@@ -182,8 +155,7 @@ def is_finished(folder):
 def efficiency(work, crumple, root):
     """Compares two threads of one process with eight shards on HyperQueue with two cores, in alternation.
 
-    Each shard takes about ten seconds. The shards of a search evaluate other points than one process, but as many.
-    Returns true if the efficiency reaches its minimum.
+    Each shard takes about ten seconds. Returns true if the efficiency reaches its minimum.
     """
     os.chdir(root)
     threads_environment = {**os.environ, "RAYON_NUM_THREADS": "2"}
@@ -230,8 +202,7 @@ def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("engine", choices=["hyperqueue", "ray"])
     parser.add_argument("--rounds", type=int, default=10)
-    parser.add_argument("--work", choices=["rate", "falsify"], default="rate")
-    parser.add_argument("--runs", type=int, default=40_000, help="runs of a rate, evaluations of a search")
+    parser.add_argument("--runs", type=int, default=40_000, help="runs of the count")
     parser.add_argument("--crumple", default="target/release/crumple")
     parser.add_argument("--seed", type=int, default=0, help="seed of the times and of the killed workers")
     parser.add_argument(
@@ -242,16 +213,16 @@ def main():
     arguments = parser.parse_args()
     random.seed(arguments.seed)
     crumple = str(Path(arguments.crumple).resolve())
-    work = {"rate": Rate, "falsify": Falsify}[arguments.work]()
+    work = Rate()
     with tempfile.TemporaryDirectory(prefix="crumple-engines-") as name:
         root = Path(name)
         if arguments.efficiency:
             sys.exit(0 if efficiency(work, crumple, root) else 1)
         single, begin = root / "single", time.monotonic()
         work.expected(crumple, arguments.runs, root)
-        seconds = (time.monotonic() - begin) * work.busy_share
-        task = f"{SHARDS} shards of {arguments.work}, {arguments.runs} runs"
-        print(f"{arguments.engine}: {task}, {seconds / work.busy_share:.1f} s by one process", flush=True)
+        seconds = time.monotonic() - begin
+        task = f"{SHARDS} shards of {arguments.runs} runs"
+        print(f"{arguments.engine}: {task}, {seconds:.1f} s by one process", flush=True)
         rounds = range(1, arguments.rounds + 1)
         same = [run_round(n, arguments.engine, work, crumple, arguments.runs, single, seconds, root) for n in rounds]
         print(f"{sum(same)} of {len(same)} rounds with two killed workers have the identical result")

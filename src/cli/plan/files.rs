@@ -5,7 +5,7 @@ use std::fs;
 use serde::Serialize;
 
 use super::PlanCommand;
-use super::work::PlannedWork;
+use super::work::PlannedCount;
 use crate::cli::CliError;
 use crumple_core::digits;
 use crumple_core::quoting::ShellWord;
@@ -17,10 +17,9 @@ use crumple_store::jobs::{Engine, Jobs, TASK_SCRIPT};
 pub(super) struct PlanSummary {
     pub(super) version: u32,
     #[serde(flatten)]
-    pub(super) wanted: PlannedWork,
+    pub(super) wanted: PlannedCount,
     pub(super) shards: u32,
     pub(super) cores_of_a_shard: u32,
-    /// Runs, or evaluations of a search.
     pub(super) runs_a_core_and_second: f64,
     pub(super) core_hours: f64,
     pub(super) minutes_of_a_shard: f64,
@@ -82,28 +81,13 @@ impl PlanCommand {
         let PlanSummary { shards, cores_of_a_shard, .. } = planned;
         let folder = self.folder_argument()?;
         let word = |rest: &str| ShellWord(&format!("{folder}/{rest}")).to_string();
-        let (first, last, whole) = match &planned.wanted {
-            PlannedWork::Rate { registration_sha256, runs, confidence, rate_at_most, failures } => (
-                format!(
-                    "{runs} runs; if {failures} of them fail, a rate of at most {} at confidence {confidence}",
-                    digits::format_rounded_up(*rate_at_most, 4)
-                ),
-                format!("  registered as {registration_sha256}\n"),
-                "rate",
-            ),
-            PlannedWork::Search { method, budget, evaluations } => (
-                format!("{evaluations} evaluations: {budget} by {method}, and {budget} by each reference search"),
-                match self.method.is_non_adaptive() {
-                    true => String::new(),
-                    false => format!("  {shards} searches by {method}, each with a part of the budget\n"),
-                },
-                "campaign",
-            ),
-        };
-        let what = if self.budget.is_some() { "evaluations" } else { "runs" };
+        let PlannedCount { registration_sha256, runs, confidence, rate_at_most, failures } = &planned.wanted;
         let mut text = format!(
-            "{first}\n  {:.0} {what} per second on one core of this machine: {:.2} core-hours\n  {shards} shards on \
-             {cores_of_a_shard} core(s) each, {:.1} minutes per shard; {} files, {:.1} MB\n{last}\n",
+            "{runs} runs; if {failures} of them fail, a rate of at most {} at confidence {confidence}\n  {:.0} runs \
+             per second on one core of this machine: {:.2} core-hours\n  {shards} shards on \
+             {cores_of_a_shard} core(s) each, {:.1} minutes per shard; {} files, {:.1} MB\n  \
+             registered as {registration_sha256}\n\n",
+            digits::format_rounded_up(*rate_at_most, 4),
             planned.runs_a_core_and_second,
             planned.core_hours,
             planned.minutes_of_a_shard,
@@ -117,6 +101,6 @@ impl PlanCommand {
                 Engine::Slurm => format!("  sbatch {}\n", word("slurm.sh")),
             };
         }
-        Ok(text + &format!("  crumple merge {}/* --out {}\n", word("shards"), word(whole)))
+        Ok(text + &format!("  crumple merge {}/* --out {}\n", word("shards"), word("rate")))
     }
 }

@@ -1,4 +1,4 @@
-//! `crumple plan`: derives runs, shards, hours, bytes and job files from a failure rate to show or a search budget.
+//! `crumple plan`: derives runs, shards, hours, bytes and job files from a failure rate to show.
 
 mod files;
 mod work;
@@ -9,35 +9,27 @@ use clap::{Args, ValueEnum};
 
 use super::simulate::OutputFormat;
 use super::{CliError, args, output, value_enums};
-use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::SearchObjective;
 use crumple_store::jobs::Engine;
-use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::sim::NamedController;
 use files::PlanSummary;
 
-/// Plan a count or a search on many machines, with job files for HyperQueue, Ray, Slurm
+/// Plan a count on many machines, with job files for HyperQueue, Ray, Slurm
 #[derive(Args)]
 #[command(after_long_help = "\
---rate-below or --runs plans a rate, --budget a search for failures (`falsify`). `plan` measures the pace on one \
-core of this machine, with runs of another seed, so that no counted run is known in advance. Each shard of a search \
-also takes seconds to minutes to analyse its failures. DIR gets `plan.json`, `task.sh`, which runs one shard, and a \
-file for each engine: `hyperqueue_job.py`, `ray_job.py` and `slurm.sh`. Start them in the folder in which `plan` was \
+--rate-below or --runs is required. `plan` measures the pace on one core of this machine, with runs of another seed, \
+so that no counted run is known in advance. DIR gets `plan.json`, `task.sh`, which runs one shard, and a file for \
+each engine: `hyperqueue_job.py`, `ray_job.py` and `slurm.sh`. Start them in the folder in which `plan` was \
 run, so that relative paths refer to the same files, with the same build of crumple on all machines \
 (docs/many-machines.md).
 
-`plan` does not cover suites, assessments and trainings, whose duration does not follow from a pace. --shard I/N \
-divides them, too: `suite run` (a range of its tests, each with a controller), `assess` (some pieces of evidence) \
-and `train --seeds` (a range of the seeds), each with N at most their number. Use a loop or any array of tasks:
-  for i in 1 2 3 4; do crumple suite run fmvss-127 --controller policy --shard $i/4 --out tests/$i --resume; done
-  crumple merge tests/* --out failures
+Other work needs no plan: run searches and trainings with other seeds, suites with fewer tests, and assessments with \
+fewer controllers on each machine.
 
 Examples:
   crumple plan --controller shield:policy --estimator truth --rate-below 1e-6 --out campaign
-  crumple plan --controller policy --runs 10000000 --shards 64 --engine slurm --out campaign
-  crumple plan --controller policy --space high-risk --budget 1000000 --out search")]
+  crumple plan --controller policy --runs 10000000 --shards 64 --engine slurm --out campaign")]
 pub(super) struct PlanCommand {
     /// Controller of the vehicles under test (see `crumple list controllers`), or its file
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
@@ -60,31 +52,8 @@ pub(super) struct PlanCommand {
     /// Number of runs instead of a rate: 1 to 1 000 000 000
     #[arg(long, value_name = "N", conflicts_with = "rate_below")]
     runs: Option<u64>,
-    /// Budget of a search instead of a rate: evaluations of the method, and of each reference search, 1 to 1 000 000
-    /// 000
-    #[arg(
-        long,
-        value_name = "N",
-        conflicts_with_all = ["rate_below", "runs", "failures"],
-        value_parser = clap::value_parser!(u64).range(1..=1_000_000_000)
-    )]
-    budget: Option<u64>,
-    /// Method of the search (see `crumple list methods`)
-    #[arg(long, value_name = "M", default_value = "auto", conflicts_with_all = ["rate_below", "runs"])]
-    method: Method,
-    /// Failures that the search prefers: severest, likeliest or nearest
-    #[arg(long, value_name = "A", default_value = "severest", conflicts_with_all = ["rate_below", "runs"])]
-    aim: SearchObjective,
-    /// Specification of the search: `no contact`, or a formula of signal temporal logic
-    #[arg(
-        long,
-        value_name = "STL",
-        default_value = Specification::NO_CONTACT,
-        conflicts_with_all = ["rate_below", "runs"]
-    )]
-    spec: String,
     /// Confidence level of the claim: above 0.5 and below 1
-    #[arg(long, value_name = "c", default_value_t = 0.999, conflicts_with = "budget")]
+    #[arg(long, value_name = "c", default_value_t = 0.999)]
     confidence: f64,
     /// Seed of all random scenarios
     #[arg(long, value_name = "N", default_value_t = 0)]
@@ -144,14 +113,11 @@ impl EngineName {
 
 impl PlanCommand {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        if self.rate_below.is_none() && self.runs.is_none() && self.budget.is_none() {
-            return Err(CliError::Input("one of --rate-below, --runs and --budget is required".to_owned()));
+        if self.rate_below.is_none() && self.runs.is_none() {
+            return Err(CliError::Input("--rate-below or --runs is required".to_owned()));
         }
         self.check_out_folder()?;
-        let (wanted, command, measure) = match self.budget {
-            Some(budget) => self.plan_search(budget, quiet)?,
-            None => self.plan_rate(quiet)?,
-        };
+        let (wanted, command, measure) = self.plan_rate(quiet)?;
         let seconds = measure.runs as f64 / measure.runs_per_second;
         let each = seconds / f64::from(self.cores) / (60.0 * f64::from(self.minutes));
         let shards = match self.shards {

@@ -5,31 +5,19 @@ use std::time::Duration;
 use serde::Serialize;
 
 use super::PlanCommand;
-use crate::cli::{CliError, args, output};
+use crate::cli::{CliError, output};
 use crumple_evidence::{RateConfig, RatePlan, SampleSizeError, required_runs};
-use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::Campaign;
 use crumple_store::shard::ShardId;
 use crumple_world::control::is_external_allowed;
 
 #[derive(Serialize)]
-#[serde(untagged)]
-pub(super) enum PlannedWork {
-    Rate {
-        registration_sha256: String,
-        runs: u64,
-        confidence: f64,
-        /// Rate that the count shows if `failures` runs fail.
-        rate_at_most: f64,
-        failures: u64,
-    },
-    Search {
-        method: Method,
-        /// Evaluations of the method, and of each reference search.
-        budget: u64,
-        /// Evaluations of all methods together.
-        evaluations: u64,
-    },
+pub(super) struct PlannedCount {
+    pub(super) registration_sha256: String,
+    pub(super) runs: u64,
+    pub(super) confidence: f64,
+    /// Rate that the count shows if `failures` runs fail.
+    pub(super) rate_at_most: f64,
+    pub(super) failures: u64,
 }
 
 pub(super) struct WorkEstimate {
@@ -46,7 +34,7 @@ const PACE_DURATION: Duration = Duration::from_secs(2);
 const PACE_SEED_MASK: u64 = 0x9e37_79b9_7f4a_7c15;
 
 impl PlanCommand {
-    pub(super) fn plan_rate(&self, quiet: bool) -> Result<(PlannedWork, Vec<String>, WorkEstimate), CliError> {
+    pub(super) fn plan_rate(&self, quiet: bool) -> Result<(PlannedCount, Vec<String>, WorkEstimate), CliError> {
         let runs = match (self.runs, self.rate_below) {
             (Some(runs), _) => runs,
             (None, rate) => {
@@ -66,7 +54,7 @@ impl PlanCommand {
             .rate_plan(self.seed ^ PACE_SEED_MASK, runs.min(100_000))?
             .runs_per_second(PACE_DURATION)
             .map_err(CliError::input)?;
-        let wanted = PlannedWork::Rate {
+        let wanted = PlannedCount {
             registration_sha256: plan.registration().digest(),
             runs,
             confidence: self.confidence,
@@ -84,59 +72,6 @@ impl PlanCommand {
         Ok((wanted, self.rate_args(runs), measure))
     }
 
-    pub(super) fn plan_search(
-        &self,
-        budget: u64,
-        quiet: bool,
-    ) -> Result<(PlannedWork, Vec<String>, WorkEstimate), CliError> {
-        if self.seed > i64::MAX as u64 {
-            return Err(CliError::Input(format!(
-                "--seed: must be at most {} for a search, found {}",
-                i64::MAX,
-                self.seed
-            )));
-        }
-        if self.controller.kind.identity().is_none() {
-            let problem = "states no identity, so crumple cannot verify that its shards belong together";
-            return Err(CliError::Input(format!("the controller `{}` {problem}", self.controller.name)));
-        }
-        let space = &self.space.1;
-        let nominal = space.scenario(&space.nominal()).map_err(CliError::input)?;
-        let specification = args::parse_specification(&self.spec, &nominal, quiet)?;
-        let campaign = Campaign {
-            estimator: self.estimator,
-            specification,
-            method: self.method.clone(),
-            objective: self.aim,
-            budget,
-            seed: self.seed,
-            ..Campaign::new(self.controller.clone(), space.clone())
-        };
-        if let Some(shards) = self.shards {
-            let last = ShardId::new(shards, shards).map_err(CliError::input)?;
-            last.range(budget, "evaluations of each method").map_err(CliError::input)?;
-        }
-        output::note("measuring the pace", quiet);
-        let elsewhere = Campaign { seed: (self.seed ^ PACE_SEED_MASK) & i64::MAX as u64, ..campaign.clone() };
-        let pace = elsewhere.evaluations_per_second(PACE_DURATION)?;
-        let evaluations = budget.saturating_mul(campaign.methods().len() as u64);
-        let mut words = self.common_args(&["falsify"]);
-        words.extend([
-            format!("--method={}", self.method),
-            format!("--aim={}", self.aim),
-            format!("--budget={budget}"),
-            format!("--spec={}", self.spec),
-        ]);
-        let wanted = PlannedWork::Search { method: self.method.clone(), budget, evaluations };
-        let measure = WorkEstimate {
-            runs: evaluations,
-            runs_per_second: pace,
-            max_shards: campaign.max_shards(),
-            bytes_of_shards: Box::new(move |shards| campaign.estimated_bytes(shards)),
-        };
-        Ok((wanted, words, measure))
-    }
-
     fn rate_plan(&self, seed: u64, runs: u64) -> Result<RatePlan, CliError> {
         Ok(RatePlan::new(RateConfig {
             seed,
@@ -146,8 +81,8 @@ impl PlanCommand {
         })?)
     }
 
-    fn common_args(&self, command: &[&str]) -> Vec<String> {
-        let mut words: Vec<String> = command.iter().map(|word| (*word).to_owned()).collect();
+    fn rate_args(&self, runs: u64) -> Vec<String> {
+        let mut words = vec!["verify".to_owned(), "rate".to_owned()];
         if is_external_allowed() {
             words.push("--allow-external".to_owned());
         }
@@ -156,13 +91,9 @@ impl PlanCommand {
             format!("--space={}", self.space.0),
             format!("--estimator={}", self.estimator.name()),
             format!("--seed={}", self.seed),
+            format!("--runs={runs}"),
+            format!("--confidence={}", self.confidence),
         ]);
-        words
-    }
-
-    fn rate_args(&self, runs: u64) -> Vec<String> {
-        let mut words = self.common_args(&["verify", "rate"]);
-        words.extend([format!("--runs={runs}"), format!("--confidence={}", self.confidence)]);
         words
     }
 }

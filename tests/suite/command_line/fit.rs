@@ -97,12 +97,6 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     assert_eq!(exit_code(&first), 0, "{}", stderr(&first));
     assert!(json_objects(&first)[0]["exposed"]["fitted"]["per_hour"]["estimate"].is_f64(), "{}", stdout(&first));
     assert_eq!(stdout(&rare("--out rare --resume")), stdout(&first));
-    for index in ["r1", "r2"] {
-        let which = format!("{}/2", &index[1..]);
-        assert_eq!(exit_code(&rare(&format!("--shard {which} --out {index}"))), 0);
-    }
-    let merged = run_crumple(here, "merge r2 r1 --out rare --format=json");
-    assert_eq!((exit_code(&merged), stdout(&merged)), (0, stdout(&first)), "{}", stderr(&merged));
     run_ok(here, "fsck one rare");
 
     let mut config = crate::assessments::config(&["baseline", "idm"]);

@@ -37,7 +37,6 @@ fn merged_shards_equal_one_count_and_missing_shards_are_named() {
         assert_same_files(folder, "single", "rate");
     }
     assert_refused(&merge("s/a single"), "single: a count, but the folders before it are of kind shard of a count");
-    assert_refused(&merge("s/a s/b --partial"), "--partial: only for searches");
     assert_refused(&run_crumple(folder, "merge s/a s/b s/c --out=s/b/rate"), "is in the shard s/b;");
     // The error for another count in the folder names the field and both values.
     let other = run_crumple(folder, &format!("{COUNT_ARGS} --seed=1 --shard=1/3 --out=s/a --resume"));
@@ -65,155 +64,6 @@ fn merged_shards_equal_one_count_and_missing_shards_are_named() {
     fs::write(&progress, text.replacen("\"runs\": 300", "\"runs\": 400", 1)).unwrap();
     assert_refused(&merge("s/a s/b"), "s/a/progress.json: has changed since it was written");
     assert_refused(&run_crumple(folder, &format!("{COUNT_ARGS} --shard 1/10")), "there are 9 blocks of runs");
-}
-
-#[test]
-fn shards_of_an_estimate_are_merged() {
-    let folder = temp_folder();
-    let folder = folder.path();
-    let rare = "verify rate --controller=match-leader --rare --samples=50 --repetitions=5";
-    let single = run_crumple(folder, &format!("{rare} --out single"));
-    for index in ["1", "2"] {
-        let which = format!("{index}/2");
-        run_ok(folder, &format!("{rare} --shard {which} --out {index}"));
-    }
-    assert_reports(&run_crumple(folder, "merge 2 --out rare"), 1, "2 repetitions are missing, shards 1 of 2");
-    let output = run_crumple(folder, "merge 2 --out rare --format=json");
-    assert_eq!(exit_code(&output), 1);
-    let missing = json!({ "missing_repetitions": 2, "of_shards": 2, "missing_shards": [1] });
-    assert_eq!(json_objects(&output), [missing]);
-    let output = run_crumple(folder, "merge 2 1 --out rare");
-    assert_eq!((exit_code(&output), stdout(&output)), (0, stdout(&single)), "{}", stderr(&output));
-    assert_same_files(folder, "single", "rare");
-}
-
-const SEARCH_ARGS: &str = "falsify --controller=match-leader --estimator=truth --budget=60 --method=halton";
-
-/// Four files per shard; merged, a reference search gives the output of one machine, and an incomplete one the missing
-/// ranges.
-#[test]
-fn shards_of_a_search_are_one_campaign() {
-    let folder = temp_folder();
-    let folder = folder.path();
-    let single = run_ok(folder, &format!("{SEARCH_ARGS} --log=summary --out=single"));
-    for index in ["1", "2", "3"] {
-        let which = format!("{index}/3");
-        run_ok(folder, &format!("{SEARCH_ARGS} --shard {which} --out {index}"));
-        assert_eq!(file_names_in(&folder.join(index)), ["findings.json", "shard.json", "work.json", "work.lock"]);
-    }
-    let output = run_crumple(folder, "merge 3 1 --out=campaign");
-    assert_prints(&output, 1, &["INCOMPLETE: missing of 3 shards: 2\n"]);
-    assert!(stderr(&output).contains("20 evaluations of each method are missing, shards 2 of 3; nothing is written"));
-    assert!(!folder.join("campaign").exists());
-    let output = run_crumple(folder, "merge 3 1 --partial --out=part");
-    assert_eq!(exit_code(&output), 1);
-    assert!(file_names_in(&folder.join("part")).contains(&"summary.json".to_owned()));
-    for _ in 0..2 {
-        let output = run_crumple(folder, "merge 3 1 2 3 --out=campaign");
-        assert_eq!((exit_code(&output), stdout(&output)), (0, stdout(&single)), "{}", stderr(&output));
-    }
-    for name in ["campaign.toml", "summary.json", "summary.txt", "work.json"] {
-        assert_eq!(
-            fs::read(folder.join("single").join(name)).unwrap(),
-            fs::read(folder.join("campaign").join(name)).unwrap()
-        );
-    }
-    assert_same_files(folder, "single/counterexamples/originals", "campaign/counterexamples/originals");
-    // The result is a normal campaign, and a partial one is incomplete.
-    let looked = run_crumple(folder, "fsck campaign part");
-    let passages = [
-        "campaign: a campaign, complete; ",
-        "part: a campaign, incomplete: merged without 20 evaluations of each method",
-    ];
-    assert_prints(&looked, 0, &passages);
-    let again = run_crumple(folder, &format!("{SEARCH_ARGS} --log=summary --out=campaign --resume"));
-    assert_eq!((exit_code(&again), stdout(&again)), (0, stdout(&single)));
-    let part = run_crumple(folder, &format!("{SEARCH_ARGS} --log=summary --out=part --resume"));
-    assert_refused(&part, "the campaign there has a different `divided`");
-    assert_refused(
-        &run_crumple(folder, "merge 1 2 --partial --out=part"),
-        "the campaign there has a different `divided.missing_",
-    );
-    assert_refused(&run_crumple(folder, &format!("{SEARCH_ARGS} --shard=1/2 --log=full")), "a shard has no log");
-    assert_refused(&run_crumple(folder, "merge 1 --format=junit --out=x"), "JUnit and HTML are only for suites");
-}
-
-#[test]
-fn shards_of_a_suite_give_the_result_of_one_machine() {
-    let folder = temp_folder();
-    let folder = folder.path();
-    let run = "suite run afgbv-cut-in --controller=match-leader --controller=idm --estimator=truth";
-    for index in ["1", "2", "3", "4"] {
-        let which = format!("{index}/4");
-        run_ok(folder, &format!("{run} --shard {which} --out {index}"));
-    }
-    for format in ["text", "json", "junit"] {
-        let single = run_crumple(folder, &format!("{run} --out=failures --format {format}"));
-        fs::rename(folder.join("failures"), folder.join("single")).unwrap();
-        let merged = run_crumple(folder, &format!("merge 4 2 1 3 1 --out=failures --format {format}"));
-        assert_eq!((exit_code(&merged), stdout(&merged)), (0, stdout(&single)), "{}", stderr(&merged));
-        assert_same_files(folder, "single", "failures");
-        fs::remove_dir_all(folder.join("single")).unwrap();
-    }
-    let output = run_crumple(folder, "merge 1 2 4 --out=x");
-    assert_reports(&output, 1, "tests are missing, shards 3 of 4; nothing is written: cut-in-");
-    let output = run_crumple(folder, "merge 1 2 4 --out=x --format=json");
-    assert_eq!(exit_code(&output), 1);
-    let missing = &json_objects(&output)[0];
-    assert_eq!((&missing["missing_shards"], &missing["of_shards"]), (&json!([3]), &json!(4)));
-    assert_eq!(missing["missing_tests"].as_array().unwrap().len(), 3, "{missing}");
-    assert!(!folder.join("x").exists());
-    run_ok(folder, "suite run afgbv-cut-in --controller=idm --shard=1/2 --out=other");
-    assert_refused(&run_crumple(folder, "merge 1 other --out=x"), "the list of controllers differs");
-    let results = folder.join("2/results.json");
-    let text = fs::read_to_string(&results).unwrap();
-    fs::write(&results, text.replacen("\"passed\":", "\"passed\": ", 1)).unwrap();
-    assert_refused(
-        &run_crumple(folder, "merge 1 2 --out=x"),
-        "2/results.json: has changed since it was written: it is longer",
-    );
-    assert_refused(&run_crumple(folder, &format!("{run} --shard=13/13")), "which make 12 shards at most");
-}
-
-/// The report is written from merged evidence without new runs.
-#[test]
-fn shards_of_an_assessment_are_its_evidence() {
-    let folder = temp_folder();
-    let folder = folder.path();
-    let config = "version = 1\ncontrollers = [\"baseline\", \"idm\"]\nsubject = \"idm\"\npaper = false\ndistributions \
-        = [\"paper\"]\n\
-                  draws = 20\neveryday_draws = 2\nsearch = { spaces = [\"paper\"], budget = 20 }\nrates = \
-                  { runs = 100, confidence = 0.9 }\n";
-    fs::write(folder.join("a.toml"), config).unwrap();
-    run_ok(folder, "assess a.toml --out=single");
-    for index in ["1", "2"] {
-        let which = format!("{index}/2");
-        run_ok(folder, &format!("assess a.toml --shard {which} --out {index}"));
-        assert_eq!(file_names_in(&folder.join(index)), ["evidence.json", "shard.json", "work.json", "work.lock"]);
-    }
-    let output = run_crumple(folder, "merge 2 --out=report");
-    assert_reports(&output, 1, "evidence is missing, shards 1 of 2; `assess` would compute it: ");
-    let output = run_crumple(folder, "merge 2 --out=report --format=json");
-    assert_eq!(exit_code(&output), 1);
-    let message = &json_objects(&output)[0];
-    assert_eq!((&message["pieces"], &message["missing_shards"]), (&json!(3), &json!([1])), "{message}");
-    assert!(message["is_of_this_build"] == true && message["missing"].as_array().unwrap().len() == 2, "{message}");
-    run_ok(folder, "merge 2 1 2 --out=report");
-    assert_same_files(folder, "single/evidence", "report/evidence");
-    let output = run_crumple(folder, "assess a.toml --out=report");
-    assert!(stderr(&output).contains("5 of 5 pieces of evidence were reused"), "{}", stderr(&output));
-    let report = |of: &str| {
-        let text = fs::read_to_string(folder.join(of).join("assessment.json")).unwrap();
-        let mut report: Value = serde_json::from_str(&text).unwrap();
-        // Date and duration differ.
-        report["provenance"]["made"] = Value::Null;
-        report
-    };
-    assert_eq!(report("single"), report("report"));
-    fs::write(folder.join("b.toml"), config.replace("draws = 20", "draws = 21")).unwrap();
-    run_ok(folder, "assess b.toml --shard=1/2 --out=b");
-    assert_refused(&run_crumple(folder, "merge 2 b --out=x"), "the configuration, or a file that it names, differs");
-    assert_refused(&run_crumple(folder, "assess a.toml --shard=6/6 --out=x"), "there are 5 pieces of evidence");
 }
 
 #[test]
@@ -256,7 +106,6 @@ fn shards_of_trainings_are_put_together_with_their_results() {
     };
     run_crumple(folder, &format!("{train} --shard=1/1 --out=whole"));
     refused("2 whole", "whole: shard 1/1 repeats work of shard 2/2 in 2");
-    refused("1 2 --partial", "--partial: only for searches");
     assert_refused(&run_crumple(folder, "merge 1 2 --out=2"), "is in the shard 2;");
     run_shard(folder, "1/3", "count");
     let mixed =
@@ -292,38 +141,6 @@ fn run_task(folder: &Path, script: &str, index: &str) {
 
 #[cfg(unix)]
 #[test]
-fn a_plan_of_a_search_makes_its_shards() {
-    let folder = temp_folder();
-    let folder = folder.path();
-    let formula = "--spec=always v1.gap_m > 0.5";
-    let plan = format!("plan --controller=idm --space=high-risk --budget=40 --shards=2 --method=uniform '{formula}'");
-    let output = run_ok(folder, &format!("{plan} --out=p"));
-    assert!(stdout(&output).contains("80 evaluations: 40 by uniform"), "{}", stdout(&output));
-    for index in ["1", "2"] {
-        run_task(folder, "p/task.sh", index);
-    }
-    let merged = run_crumple(folder, "merge p/shards/1 p/shards/2 --out=campaign");
-    let planned = read_json(&folder.join("p/plan.json"));
-    let words: Vec<&str> = planned["command"].as_array().unwrap().iter().skip(1).filter_map(Value::as_str).collect();
-    let words = shlex::try_join(words).unwrap();
-    let single = run_crumple(folder, &format!("{words} --log=summary --out=single"));
-    assert_eq!((exit_code(&merged), stdout(&merged)), (0, stdout(&single)), "{}", stderr(&merged));
-    assert_refused(&run_crumple(folder, &format!("{plan} --runs=10")), "cannot be used with");
-    assert_refused(&run_crumple(folder, &format!("{plan} --out=p")), "p: is not empty: use --force");
-    let again = run_ok(folder, &format!("{plan} --out=p --force --format=json"));
-    assert_eq!(serde_json::from_slice::<Value>(&again.stdout).unwrap(), read_json(&folder.join("p/plan.json")));
-    let output = run_ok(folder, &format!("{plan} --out=-x"));
-    let lines =
-        ["python3 ./-x/hyperqueue_job.py\n", "sbatch ./-x/slurm.sh\n", "merge ./-x/shards/* --out ./-x/campaign\n"];
-    assert_contains(stdout(&output), &lines);
-    run_task(folder, "./-x/task.sh", "1");
-    assert!(folder.join("-x/shards/1/work.json").exists());
-    run_ok(folder, "merge ./-x/shards/1 p/shards/2 --out=campaign");
-    assert_refused(&run_crumple(folder, "plan --controller=idm --budget=3 --shards=4"), "there are 3 evaluations");
-}
-
-#[cfg(unix)]
-#[test]
 fn job_files_produce_the_planned_result() {
     let folder = temp_folder();
     let folder = folder.path();
@@ -344,6 +161,15 @@ fn job_files_produce_the_planned_result() {
     let words = shlex::try_join(words).unwrap();
     run_ok(folder, &format!("{words} --out single"));
     assert_same_files(folder, "single", "rate");
+    assert_refused(&run_crumple(folder, &format!("{plan} --runs=10")), "cannot be used with");
+    assert_refused(&run_crumple(folder, &format!("{plan} --out=rate")), "rate: is not empty: use --force");
+    let again = run_ok(folder, &format!("{plan} --out=rate --force --format=json"));
+    assert_eq!(serde_json::from_slice::<Value>(&again.stdout).unwrap(), read_json(&folder.join("rate/plan.json")));
+    let output = run_ok(folder, &format!("{plan} --out=-x"));
+    let lines = ["python3 ./-x/hyperqueue_job.py\n", "sbatch ./-x/slurm.sh\n", "merge ./-x/shards/* --out ./-x/rate\n"];
+    assert_contains(stdout(&output), &lines);
+    run_task(folder, "./-x/task.sh", "1");
+    assert!(folder.join("-x/shards/1/work.json").exists());
     for (more, message) in [
         ("--rate-below=0", "rate: must be above 0 and below 1"),
         ("--rate-below=1e-12", "would take more than 1000000000 runs"),

@@ -15,7 +15,6 @@ use super::halton::Halton;
 use super::sequential::Sequential;
 use super::signals::SignalSearch;
 use super::uniform::UniformSearch;
-use crumple_world::random::derived_seed;
 
 /// A search for the smallest robustness in a unit cube. [`CustomMethod`] adds an implementation to a campaign.
 pub trait SearchAlgorithm: fmt::Debug + Send {
@@ -54,8 +53,8 @@ pub enum Method {
 
 /// A search method that is not built in: a name, and a function that starts a search from a cube and a seed.
 ///
-/// A campaign records the name, and does not resume with a method of another name. It cannot be divided into shards,
-/// nor shown by `crumple explore`, because these read the method from a file.
+/// A campaign records the name, and does not resume with a method of another name. `crumple explore`
+/// cannot show it, because it reads the method from a file.
 ///
 /// ```
 /// use crumple_core::observer::Quiet;
@@ -192,21 +191,10 @@ impl Method {
         }
     }
 
-    /// Returns true for non-adaptive methods (uniform, Halton), whose points can be generated from any index.
+    /// Returns true for non-adaptive methods (uniform, Halton).
     #[must_use]
     pub fn is_non_adaptive(&self) -> bool {
         matches!(self, Self::Uniform | Self::Halton)
-    }
-
-    /// Starts after `points` points of a non-adaptive search; any other method starts a new search with another seed.
-    #[must_use]
-    pub fn start_after(&self, points: u64, cube: &UnitCube, seed: u64) -> Box<dyn SearchAlgorithm> {
-        match self {
-            Self::Uniform => Box::new(UniformSearch::new(cube, seed).skip_points(points)),
-            Self::Halton => Box::new(Halton::new(cube, seed).skip_points(points)),
-            _ if points == 0 => self.start(cube, seed),
-            _ => self.start(cube, derived_seed(seed, points)),
-        }
     }
 
     /// Starts a search in `cube`, determined by `seed`.
@@ -265,7 +253,6 @@ mod tests {
     use super::*;
     use crate::falsify::campaign::{Campaign, CampaignError, CampaignOptions, CampaignProgress};
     use crumple_core::observer::Quiet;
-    use crumple_store::shard::ShardId;
     use proptest::prelude::*;
     use std::ops::ControlFlow;
 
@@ -315,32 +302,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let outside = campaign("outside", 1.5).run(&folder.path().join("a"), CampaignOptions::default(), &Quiet);
         assert!(matches!(outside, Err(CampaignError::InvalidPoints(_))), "{outside:?}");
-        let shard = ShardId::new(1, 2).unwrap();
-        let divided = campaign("mine", 0.5).run_shard(shard, &folder.path().join("b"), false, &Quiet);
-        assert!(matches!(divided, Err(CampaignError::CustomMethodInShards(_))), "{divided:?}");
     }
 
     proptest! {
         // Each case runs all methods twice.
         #![proptest_config(crumple_cases::with_cases(100))]
-
-        /// Parts of a non-adaptive search equal the whole search; parts of any other are separate searches.
-        #[test]
-        fn a_part_of_a_blind_search_is_its_points(seed in any::<u64>(), points in 0..200_u64) {
-            let cube = UnitCube::new([1, 3]).unwrap();
-            for method in Method::ALL {
-                let mut whole = method.start(&cube, seed);
-                let mut all: Vec<Vec<f64>> = Vec::new();
-                while method.is_non_adaptive() && all.len() < points as usize + 32 {
-                    all.extend(whole.ask());
-                }
-                let part = method.start_after(points, &cube, seed).ask();
-                match method.is_non_adaptive() {
-                    true => prop_assert_eq!(&all[points as usize..][..32], &part[..]),
-                    false => prop_assert_eq!(points == 0 && part == whole.ask(), points == 0),
-                }
-            }
-        }
 
         #[test]
         fn every_method_stays_in_the_cube_and_repeats_itself(
