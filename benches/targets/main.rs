@@ -30,6 +30,7 @@ mod table;
 #[allow(dead_code, reason = "see above")]
 #[path = "../work"]
 mod work {
+    pub mod chasing_cars;
     pub mod long_lines;
     pub mod networks;
     pub mod rollouts;

@@ -5,7 +5,6 @@ use std::hint::black_box;
 use crumple_report::draw::{
     Anchor, Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, PixelRect, Stroke, Svg,
 };
-use crumple_search::falsify::chasing_cars::{ChasingCarsInputs, PIECES, SPECIFICATIONS, robustness};
 use crumple_search::falsify::{Method, UnitCube};
 use crumple_world::measure::stl::Formula;
 use crumple_world::observation::EstimatorKind;
@@ -13,6 +12,7 @@ use crumple_world::random::{Purpose, stream};
 use crumple_world::sim::{RecordingLevel, simulate_batch};
 
 use crate::clock::min_cpu_time_s;
+use crate::work::chasing_cars::{ChasingCarsInputs, PIECES, SPECIFICATIONS, robustness};
 use crate::work::long_lines::platoon;
 use crate::work::networks::{batch, config, learner};
 use crate::work::rollouts::{built_in, runs};

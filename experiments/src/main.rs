@@ -5,6 +5,7 @@
 
 mod behind_recorded;
 mod both_sides;
+mod chasing_cars;
 mod filter_errors;
 mod learning_curve;
 mod scenario_of_input;
@@ -13,6 +14,13 @@ mod smaller_box;
 mod synthetic_campaign;
 #[allow(clippy::expect_used, reason = "its problems are built in")]
 mod worst_case_comparison;
+
+/// Problems that the benches measure, too.
+#[allow(dead_code, unreachable_pub, reason = "a problem has functions that only a bench uses")]
+#[path = "../../benches/work"]
+mod work {
+    pub(crate) mod chasing_cars;
+}
 
 use std::process::ExitCode;
 
@@ -24,7 +32,7 @@ struct Experiment {
     run: fn(&[String]) -> Result<(), ExperimentError>,
 }
 
-const EXPERIMENTS: [Experiment; 9] = [
+const EXPERIMENTS: [Experiment; 10] = [
     Experiment { name: "behind_recorded", arguments: "RECORDING.csv... CONTROLLER...", run: behind_recorded::run },
     Experiment {
         name: "both_sides",
@@ -32,6 +40,7 @@ const EXPERIMENTS: [Experiment; 9] = [
                     [follower=CHANGE]",
         run: both_sides::run,
     },
+    Experiment { name: "chasing_cars", arguments: "FIRST_SEED SEEDS [METHOD]", run: chasing_cars::run },
     Experiment { name: "filter_errors", arguments: "SCENARIO [FACTOR]", run: filter_errors::run },
     Experiment { name: "learning_curve", arguments: "TABLE.csv CONFIGURATION FIGURE.svg", run: learning_curve::run },
     Experiment { name: "scenario_of_input", arguments: "INPUT", run: scenario_of_input::run },

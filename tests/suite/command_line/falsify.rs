@@ -318,19 +318,6 @@ fn mistakes_are_reported_before_anything_is_written() {
 }
 
 #[test]
-fn benchmark_counterexamples_are_files_and_are_rechecked_from_them() {
-    let folder = temp_folder();
-    let arguments = "benchmark chasing-cars --budget 20 --seeds 1 --out cars --format json";
-    let output = run_ok(folder.path(), arguments);
-    let found = json_objects(&output).remove(0);
-    let successes: u64 = found["rows"].as_array().unwrap().iter().map(|row| row["successes"].as_u64().unwrap()).sum();
-    let files = read_tree(&folder.path().join("cars"));
-    assert!(successes >= 3 && files.len() as u64 == successes, "{successes} {:?}", files.keys());
-    assert!(stderr(&output).contains(&format!("wrote {successes} counterexamples to cars; the replay confirms each")));
-    assert_refused(&run_crumple(folder.path(), arguments), "--out: cars is not empty");
-}
-
-#[test]
 fn parts_of_formulas_without_a_temporal_operator_are_warned_of() {
     let folder = temp_folder();
     let warned = |arguments: &str| {

@@ -55,7 +55,6 @@ const CASES: &[(&str, &str, StartExpectation)] = &[
     ("check", "rate/certificate.json --rerun", RefusedOrStarts("base.vehicles[2].driver.file.path: ")),
     ("check", "rate/certificate.json --scenario driven.toml", RefusedOrStarts("driven.toml:")),
     ("check", "rate/certificate.json --policy evil.toml", Refused("base.vehicles[2].driver.file.path: ")),
-    ("benchmark chasing-cars", "--method uniform --budget 1 --seeds 1", StartsNothing),
     ("benchmark acc", "--network evil.toml", StartsNothing),
     ("benchmark acc", "--network evil.fmu", StartsNothing),
     ("verify shield", "--help", StartsNothing),

@@ -1,4 +1,4 @@
-//! Falsification: search methods that look for negative robustness, and problems to measure them.
+//! Falsification: search methods that look for negative robustness.
 //!
 //! A search moves in a [`UnitCube`]; the caller scales it to the problem. The search proposes a batch of points
 //! ([`SearchAlgorithm::ask`]) and receives their values ([`SearchAlgorithm::tell`]). A batch depends only on the seed
@@ -14,7 +14,6 @@
 mod annealing;
 mod auto;
 pub mod campaign;
-pub mod chasing_cars;
 mod climb;
 mod cma_es;
 pub mod counterexample;
