@@ -6,14 +6,12 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::annealing::Annealing;
 use super::auto::Auto;
 use super::cma_es::CmaEs;
 use super::cross_entropy::CrossEntropy;
 use super::cube::UnitCube;
 use super::halton::Halton;
 use super::sequential::Sequential;
-use super::signals::SignalSearch;
 use super::uniform::UniformSearch;
 
 /// A search for the smallest robustness in a unit cube. [`CustomMethod`] adds an implementation to a campaign.
@@ -39,10 +37,6 @@ pub enum Method {
     CmaEs,
     /// Cross-entropy with independent normal coordinates.
     CrossEntropy,
-    /// Simulated annealing.
-    Annealing,
-    /// Signals of few pieces with bang-bang moves.
-    Signals,
     /// Sequential convex programming on the braking of the leader.
     Sequential,
     /// A portfolio.
@@ -148,16 +142,8 @@ pub struct UnknownMethod {
 
 impl Method {
     /// All built-in methods.
-    pub const ALL: [Self; 8] = [
-        Self::Uniform,
-        Self::Halton,
-        Self::CmaEs,
-        Self::CrossEntropy,
-        Self::Annealing,
-        Self::Signals,
-        Self::Sequential,
-        Self::Auto,
-    ];
+    pub const ALL: [Self; 6] =
+        [Self::Uniform, Self::Halton, Self::CmaEs, Self::CrossEntropy, Self::Sequential, Self::Auto];
 
     /// Returns the name used on the command line and in files.
     #[must_use]
@@ -167,8 +153,6 @@ impl Method {
             Self::Halton => "halton",
             Self::CmaEs => "cma-es",
             Self::CrossEntropy => "cross-entropy",
-            Self::Annealing => "annealing",
-            Self::Signals => "signals",
             Self::Sequential => "sequential",
             Self::Auto => "auto",
             Self::Custom(custom) => &custom.name,
@@ -183,8 +167,6 @@ impl Method {
             Self::Halton => "a randomised Halton sequence",
             Self::CmaEs => "covariance matrix adaptation with restarts",
             Self::CrossEntropy => "cross-entropy with independent normal coordinates",
-            Self::Annealing => "simulated annealing",
-            Self::Signals => "signals with few pieces and bang-bang moves",
             Self::Sequential => "sequential convex programming of the leader's braking, from the best simple points",
             Self::Auto => "a portfolio of simple inputs, screened descents and edges of plateaus",
             Self::Custom(_) => "a method of the program that uses the library",
@@ -205,8 +187,6 @@ impl Method {
             Self::Halton => Box::new(Halton::new(cube, seed)),
             Self::CmaEs => Box::new(CmaEs::new(cube, seed)),
             Self::CrossEntropy => Box::new(CrossEntropy::new(cube, seed)),
-            Self::Annealing => Box::new(Annealing::new(cube, seed)),
-            Self::Signals => Box::new(SignalSearch::new(cube, seed)),
             Self::Sequential => Box::new(Sequential::new(cube, seed)),
             Self::Auto => Box::new(Auto::new(cube, seed)),
             Self::Custom(custom) => (custom.start)(cube, seed),

@@ -11,7 +11,6 @@
 //! A [`campaign`] combines a space, a controller, a specification and a method with a budget. Its run folder contains
 //! every evaluation, and the distinct failures as [`counterexample`] files.
 
-mod annealing;
 mod auto;
 pub mod campaign;
 mod climb;
@@ -26,7 +25,6 @@ mod method;
 pub mod non_finite;
 mod plateau_bisection;
 mod sequential;
-mod signals;
 mod simple_points;
 mod surrogate;
 #[cfg(test)]
