@@ -29,7 +29,6 @@ mod list;
 mod merge;
 mod output;
 mod output_folder;
-mod plan;
 mod preset;
 mod progress;
 mod rare;
@@ -76,7 +75,7 @@ const TASKS: &[(&str, &[&str])] = &[
     ("Prove", &["verify", "check"]),
     ("Train and tune", &["train", "retrain", "tune"]),
     ("Use recorded data", &["import", "fit"]),
-    ("Divide work among machines", &["plan", "merge", "fsck"]),
+    ("Divide work among machines", &["merge", "fsck"]),
     ("Look up", &["list", "show", "describe", "doctor"]),
     ("Set up the shell", &["completions", "man"]),
 ];
@@ -115,7 +114,6 @@ enum CliCommand {
     Benchmark(benchmark::BenchmarkCommand),
     Verify(verify::Verify),
     Suite(suite::SuiteCommand),
-    Plan(Box<plan::PlanCommand>),
     Merge(merge::Merge),
     Fsck(fsck::Fsck),
     List(list::ListCommand),
@@ -165,7 +163,6 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         CliCommand::Benchmark(command) => command.run(),
         CliCommand::Verify(command) => command.run(quiet),
         CliCommand::Suite(command) => command.run(quiet),
-        CliCommand::Plan(command) => command.run(quiet),
         CliCommand::Merge(command) => command.run(quiet),
         CliCommand::Fsck(command) => command.run(),
         CliCommand::List(command) => command.run(),

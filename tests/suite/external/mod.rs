@@ -65,7 +65,6 @@ const CASES: &[(&str, &str, StartExpectation)] = &[
     ("suite run", "driven.toml --controller idm", StartsNothing),
     ("suite table", "--help", StartsNothing),
     ("suite map", "car-following --cells 2x2", StartsNothing),
-    ("plan", "--controller idm --space space.toml --runs 9 --out o", Refused("space.toml:")),
     ("merge", "rate-shard --out o", StartsNothing),
     ("fsck", "campaign rate rate-shard", StartsNothing),
     ("list", "", StartsNothing),

@@ -206,7 +206,7 @@ impl FromStr for ShardId {
     }
 }
 
-/// Formats sorted numbers in the array syntax of Slurm and HyperQueue: `1,4-6`.
+/// Formats sorted numbers in the array syntax of Slurm: `1,4-6`.
 #[must_use]
 pub fn format_ranges(numbers: &[u32]) -> String {
     let mut runs: Vec<Range<u32>> = Vec::new();
