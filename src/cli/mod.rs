@@ -1,11 +1,9 @@
 //! The command line, with one file per subcommand.
 
-mod acc_benchmark;
 mod args;
 mod artifacts;
 mod assess;
 mod avoid;
-mod benchmark;
 mod check;
 mod describe;
 mod describe_fmu;
@@ -69,7 +67,7 @@ Exit codes:
 
 /// Subcommands by task, in the order of `--help`.
 const TASKS: &[(&str, &[&str])] = &[
-    ("Report on controllers", &["assess", "suite", "benchmark"]),
+    ("Report on controllers", &["assess", "suite"]),
     ("Simulate and view", &["simulate", "explore", "export"]),
     ("Search for collisions", &["falsify", "worst-case", "avoid"]),
     ("Prove", &["verify", "check"]),
@@ -111,7 +109,6 @@ enum CliCommand {
     Avoid(avoid::Avoid),
     WorstCase(worst_case::WorstCase),
     Check(check::Check),
-    Benchmark(benchmark::BenchmarkCommand),
     Verify(verify::Verify),
     Suite(suite::SuiteCommand),
     Merge(merge::Merge),
@@ -160,7 +157,6 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         CliCommand::Check(command) => command.run(quiet),
         CliCommand::WorstCase(command) => command.run(quiet),
         CliCommand::Falsify(command) => command.run(quiet),
-        CliCommand::Benchmark(command) => command.run(),
         CliCommand::Verify(command) => command.run(quiet),
         CliCommand::Suite(command) => command.run(quiet),
         CliCommand::Merge(command) => command.run(quiet),

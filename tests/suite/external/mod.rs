@@ -55,8 +55,6 @@ const CASES: &[(&str, &str, StartExpectation)] = &[
     ("check", "rate/certificate.json --rerun", RefusedOrStarts("base.vehicles[2].driver.file.path: ")),
     ("check", "rate/certificate.json --scenario driven.toml", RefusedOrStarts("driven.toml:")),
     ("check", "rate/certificate.json --policy evil.toml", Refused("base.vehicles[2].driver.file.path: ")),
-    ("benchmark acc", "--network evil.toml", StartsNothing),
-    ("benchmark acc", "--network evil.fmu", StartsNothing),
     ("verify shield", "--help", StartsNothing),
     ("verify rate", "--controller idm --space space.toml --runs 2 --out o", RefusedOrStarts("space.toml:")),
     ("verify reach", "--box driven.toml", StartsNothing),
