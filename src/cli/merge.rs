@@ -3,13 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use clap::Args;
-use serde::Serialize;
 
 use super::simulate::OutputFormat;
-use super::{CliError, exposure, output, train, verify};
+use super::{CliError, output, train, verify};
 use crumple_core::digits;
 use crumple_evidence::RateFolderError;
-use crumple_evidence::exposure::RatePerExposure;
 use crumple_evidence::{COUNT_SHARD_KIND, MergedCount, PartialCount};
 use crumple_learn::rl::{MergedTrainings, is_trainings_folder};
 use crumple_store::run_folder::{CompletedRun, RunState, read_state};
@@ -25,7 +23,8 @@ different results for the same shard. Merging again into the same --out changes 
 
 If no shard is missing:
   verify rate   the folder and the printed text are those of the same work on one machine, to the byte, \
-with certificate and failures per hour
+with the certificate. In a space that states its exposure, the command without --shard, with --resume and this --out, \
+then prints the failures per hour
   train         the folders `seed-N`, training.json and the learning curve are those of one machine, to the byte
 
 If shards are missing or unfinished, crumple lists them, and the exit code is 1: run the same command with --resume \
@@ -201,26 +200,15 @@ impl Merge {
             );
         };
         let message = verify::certificate_verdict(&path, &certificate)?;
-        let exposed = merged.rate_per_exposure()?;
         match self.format {
-            OutputFormat::Json => output::print_json(&MergedCountReport { count: merged.partial_count(), exposed }),
+            OutputFormat::Json => output::print_json(&merged.partial_count()),
             OutputFormat::Text => {
                 let tally = merged.tally().unwrap_or_default();
-                let exposed = exposed.map(|rate| exposure::format_rate(&rate)).unwrap_or_default();
                 let counted = verify::tally_line(merged.record().is_comparison(), &tally);
-                output::print_coloured(OutputFormat::Text, &format!("{counted}{message}{exposed}"))
+                output::print_coloured(OutputFormat::Text, &format!("{counted}{message}"))
             }
         }
     }
-}
-
-#[derive(Serialize)]
-struct MergedCountReport {
-    #[serde(flatten)]
-    count: PartialCount,
-    /// Failures per hour, if the scenario space states the exposure of its recordings.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    exposed: Option<RatePerExposure>,
 }
 
 fn format_incomplete(so_far: &PartialCount) -> String {
