@@ -9,7 +9,6 @@ use super::output;
 use crumple_evidence::InvalidRate;
 use crumple_evidence::rare::RareError;
 use crumple_learn::retrain::RetrainError;
-use crumple_learn::rl::MergeTrainingsError;
 use crumple_learn::tune::TuneError;
 use crumple_report::assessment::{AssessConfigError, AssessError, CacheError};
 use crumple_search::falsify::campaign::CampaignError;
@@ -132,7 +131,6 @@ from_errors! {
     AssessError { Cache, Campaign }
     CampaignError { Disk, Work }
     AssessConfigError { File }
-    MergeTrainingsError { RunFolder, Training }
     RareError { RunFolder }
     RefusedController {}
     RetrainError { Disk, RunFolder, Campaign, Training }

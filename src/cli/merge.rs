@@ -1,35 +1,31 @@
-//! `crumple merge`: combines the shards of divided work.
+//! `crumple merge`: combines the shards of a count.
 
 use std::path::{Path, PathBuf};
 
 use clap::Args;
 
 use super::simulate::OutputFormat;
-use super::{CliError, output, train, verify};
+use super::{CliError, output, verify};
 use crumple_core::digits;
 use crumple_evidence::RateFolderError;
 use crumple_evidence::{COUNT_SHARD_KIND, MergedCount, PartialCount};
-use crumple_learn::rl::{MergedTrainings, is_trainings_folder};
-use crumple_store::run_folder::{CompletedRun, RunState, read_state};
+use crumple_store::run_folder::{RunState, read_state};
 use crumple_store::shard::{MergeError, format_ranges};
 
-/// Combine shards produced on several machines (see --shard)
+/// Combine the shards of a count that several machines made
 #[derive(Args)]
 #[command(after_long_help = "\
-Combines folders of `verify rate` and `train --seeds`, each with --shard I/N. They must be of one kind, in any \
-order, at most 100 000. A shard may be given twice, and shards of several N may be mixed if no work is done twice. \
-Exit code 2 for shards of different work, shards that overlap, shards whose files have changed, and two that state \
-different results for the same shard. Merging again into the same --out changes nothing.
+Combines folders of `verify rate --shard I/N`, in any order, at most 100 000. A shard may be given twice, and shards \
+of several N may be mixed if no run is counted twice. Exit code 2 for shards of different counts, shards that \
+overlap, shards whose files have changed, and two that state different results for the same shard. Merging again \
+into the same --out changes nothing.
 
-If no shard is missing:
-  verify rate   the folder and the printed text are those of the same work on one machine, to the byte, \
-with the certificate. In a space that states its exposure, the command without --shard, with --resume and this --out, \
-then prints the failures per hour
-  train         the folders `seed-N`, training.json and the learning curve are those of one machine, to the byte
+If no shard is missing, the folder and the printed text are those of a count on one machine, to the byte, with the \
+certificate. In a space that states its exposure, the command without --shard, with --resume and this --out, then \
+prints the failures per hour.
 
-If shards are missing or unfinished, crumple lists them, and the exit code is 1: run the same command with --resume \
-for each, and merge again. For a count crumple then writes nothing; trainings are written as far as they exist. With \
---format json standard output also lists the missing shards.
+If shards are missing or unfinished, crumple lists them, writes nothing, and the exit code is 1: run the same \
+command with --resume for each, and merge again. With --format json standard output also lists the missing shards.
 
 A count cannot omit missing runs: they may be missing because of their result. The printed bound therefore counts \
 all missing runs as failures, so that it holds whatever their result is.
@@ -53,77 +49,6 @@ pub(super) struct Merge {
 const MAX_FOLDERS: usize = 100_000;
 const MAX_PRINTED_RANGES: usize = 20;
 
-enum ShardFolder {
-    /// A shard of trainings, finished or not: each seed has a separate folder.
-    Trainings,
-    /// Any other shard, finished.
-    Finished(CompletedRun),
-}
-
-impl ShardFolder {
-    /// Opens a shard, or returns the reason why it cannot be merged yet.
-    fn open(folder: &Path) -> Result<Result<Self, String>, CliError> {
-        if is_trainings_folder(folder) {
-            return Ok(Ok(Self::Trainings));
-        }
-        Ok(match read_state(folder)? {
-            RunState::Missing => Err("not started".to_owned()),
-            RunState::InProgress(kind) => Err(format!("a {kind}, unfinished")),
-            RunState::Complete(found) => Ok(Self::Finished(found)),
-        })
-    }
-
-    fn kind(&self) -> &str {
-        match self {
-            Self::Trainings => SHARD_OF_TRAININGS,
-            Self::Finished(found) => found.kind(),
-        }
-    }
-}
-
-const SHARD_OF_TRAININGS: &str = "shard of trainings";
-
-enum AnyMerged {
-    Count(MergedCount),
-    Trainings(Box<MergedTrainings>),
-}
-
-impl AnyMerged {
-    fn from_shard(folder: &Path, shard: &ShardFolder) -> Result<Self, CliError> {
-        let found = match shard {
-            ShardFolder::Finished(found) => found,
-            ShardFolder::Trainings => return Ok(Self::Trainings(Box::new(MergedTrainings::from_shard(folder)?))),
-        };
-        Ok(match found.kind() {
-            COUNT_SHARD_KIND => Self::Count(MergedCount::new(folder, found)?),
-            kind => {
-                return Err(CliError::at(folder, format!("a {kind}, which is not a shard that can be merged")));
-            }
-        })
-    }
-
-    fn kind(&self) -> &'static str {
-        match self {
-            Self::Count(_) => COUNT_SHARD_KIND,
-            Self::Trainings(_) => SHARD_OF_TRAININGS,
-        }
-    }
-
-    fn add_shard(&mut self, folder: &Path, shard: &ShardFolder) -> Result<(), CliError> {
-        let (kind, own) = (shard.kind(), self.kind());
-        let is_same = kind == own;
-        let taken = match (self, shard) {
-            (Self::Trainings(merged), ShardFolder::Trainings) => return Ok(merged.add_shard(folder)?),
-            (Self::Count(merged), ShardFolder::Finished(found)) if is_same => merged.add_shard(folder, found),
-            _ => {
-                let problem = format!("a {kind}, but the folders before it are of kind {own}");
-                return Err(CliError::at(folder, problem));
-            }
-        };
-        Ok(taken?)
-    }
-}
-
 /// Resolves the symbolic links of a path whose last components may not exist.
 fn resolve_path(path: &Path) -> PathBuf {
     let whole = std::path::absolute(path).unwrap_or_else(|_| path.to_owned());
@@ -140,12 +65,26 @@ impl Merge {
             )));
         }
         self.check_out_folder()?;
-        let (mut merged, mut open): (Option<AnyMerged>, _) = (None, Vec::new());
+        let (mut merged, mut open): (Option<MergedCount>, _) = (None, Vec::new());
         for folder in &self.folders {
-            match (ShardFolder::open(folder)?, &mut merged) {
-                (Err(why), _) => open.push(format!("{}: {why}", folder.display())),
-                (Ok(shard), None) => merged = Some(AnyMerged::from_shard(folder, &shard)?),
-                (Ok(shard), Some(merged)) => merged.add_shard(folder, &shard)?,
+            let found = match read_state(folder)? {
+                RunState::Missing => {
+                    open.push(format!("{}: not started", folder.display()));
+                    continue;
+                }
+                RunState::InProgress(kind) => {
+                    open.push(format!("{}: a {kind}, unfinished", folder.display()));
+                    continue;
+                }
+                RunState::Complete(found) if found.kind() == COUNT_SHARD_KIND => found,
+                RunState::Complete(found) => {
+                    let problem = format!("a {}, not a {COUNT_SHARD_KIND}", found.kind());
+                    return Err(CliError::at(folder, problem));
+                }
+            };
+            match &mut merged {
+                None => merged = Some(MergedCount::new(folder, &found)?),
+                Some(merged) => merged.add_shard(folder, &found)?,
             }
         }
         for folder in &open {
@@ -154,10 +93,7 @@ impl Merge {
         let Some(merged) = merged else {
             return Err(CliError::Gate("none of these folders contains a finished shard".to_owned()));
         };
-        match merged {
-            AnyMerged::Count(merged) => self.write_count(&merged),
-            AnyMerged::Trainings(merged) => train::merge(&merged, &self.out, self.format, quiet),
-        }
+        self.write_count(&merged)
     }
 
     /// Checks that the output folder is in none of the shards, where it would be taken for a part of one.

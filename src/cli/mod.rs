@@ -73,7 +73,7 @@ const TASKS: &[(&str, &[&str])] = &[
     ("Prove", &["verify", "check"]),
     ("Train and tune", &["train", "retrain", "tune"]),
     ("Use recorded data", &["import", "fit"]),
-    ("Divide work among machines", &["merge", "fsck"]),
+    ("Manage results", &["merge", "fsck"]),
     ("Look up", &["list", "show", "describe", "doctor"]),
     ("Set up the shell", &["completions", "man"]),
 ];

@@ -385,21 +385,3 @@ pub(crate) fn assert_survives_kills(
     falsify::assert_same_folders(&folder.join("through"), &folder.join("killed"));
     through
 }
-
-/// Writes lengths and hashes of a folder's files into its manifest, as an attacker would; also that of the
-/// configuration, which is the hash of a file.
-pub(crate) fn rehash_manifest(folder: &Path) {
-    let path = folder.join("work.json");
-    let (mut text, manifest) = (fs::read_to_string(&path).unwrap(), read_json(&path));
-    let entry = |bytes: u64, digest: &str| format!("\"bytes\": {bytes},\n        \"sha256\": \"{digest}\"");
-    for (name, known) in manifest["files"].as_object().unwrap() {
-        let whole = (known["whole"]["bytes"].as_u64(), known["whole"]["sha256"].as_str());
-        if let ((Some(length), Some(digest)), Ok(bytes)) = (whole, fs::read(folder.join(name))) {
-            let now = sha256(&bytes);
-            text = text.replace(&entry(length, digest), &entry(bytes.len() as u64, &now)).replace(digest, &now);
-        }
-    }
-    let own = manifest["sha256"].as_str().unwrap();
-    let bare = text.replace(own, "");
-    fs::write(&path, text.replace(own, &sha256(bare))).unwrap();
-}
