@@ -11,7 +11,6 @@ use super::cma_es::CmaEs;
 use super::cross_entropy::CrossEntropy;
 use super::cube::UnitCube;
 use super::halton::Halton;
-use super::sequential::Sequential;
 use super::uniform::UniformSearch;
 
 /// A search for the smallest robustness in a unit cube. [`CustomMethod`] adds an implementation to a campaign.
@@ -37,8 +36,6 @@ pub enum Method {
     CmaEs,
     /// Cross-entropy with independent normal coordinates.
     CrossEntropy,
-    /// Sequential convex programming on the braking of the leader.
-    Sequential,
     /// A portfolio.
     Auto,
     /// A method of the program that uses this library.
@@ -142,8 +139,7 @@ pub struct UnknownMethod {
 
 impl Method {
     /// All built-in methods.
-    pub const ALL: [Self; 6] =
-        [Self::Uniform, Self::Halton, Self::CmaEs, Self::CrossEntropy, Self::Sequential, Self::Auto];
+    pub const ALL: [Self; 5] = [Self::Uniform, Self::Halton, Self::CmaEs, Self::CrossEntropy, Self::Auto];
 
     /// Returns the name used on the command line and in files.
     #[must_use]
@@ -153,7 +149,6 @@ impl Method {
             Self::Halton => "halton",
             Self::CmaEs => "cma-es",
             Self::CrossEntropy => "cross-entropy",
-            Self::Sequential => "sequential",
             Self::Auto => "auto",
             Self::Custom(custom) => &custom.name,
         }
@@ -167,7 +162,6 @@ impl Method {
             Self::Halton => "a randomised Halton sequence",
             Self::CmaEs => "covariance matrix adaptation with restarts",
             Self::CrossEntropy => "cross-entropy with independent normal coordinates",
-            Self::Sequential => "sequential convex programming of the leader's braking, from the best simple points",
             Self::Auto => "a portfolio of simple inputs, screened descents and edges of plateaus",
             Self::Custom(_) => "a method of the program that uses the library",
         }
@@ -187,7 +181,6 @@ impl Method {
             Self::Halton => Box::new(Halton::new(cube, seed)),
             Self::CmaEs => Box::new(CmaEs::new(cube, seed)),
             Self::CrossEntropy => Box::new(CrossEntropy::new(cube, seed)),
-            Self::Sequential => Box::new(Sequential::new(cube, seed)),
             Self::Auto => Box::new(Auto::new(cube, seed)),
             Self::Custom(custom) => (custom.start)(cube, seed),
         }

@@ -6,7 +6,7 @@
 //! resumes by replaying the logged values.
 //!
 //! The cube marks the coordinates of signals and of the script of a leader. Sequential convex programming
-//! ([`worst_case`](crate::worst_case)) worsens that script in the methods `sequential` and `auto`.
+//! ([`worst_case`](crate::worst_case)) worsens that script in the method `auto`.
 //!
 //! A [`campaign`] combines a space, a controller, a specification and a method with a budget. Its run folder contains
 //! every evaluation, and the distinct failures as [`counterexample`] files.
@@ -21,10 +21,10 @@ mod cube;
 mod evaluator;
 mod failure_criterion;
 mod halton;
+mod leader_descent;
 mod method;
 pub mod non_finite;
 mod plateau_bisection;
-mod sequential;
 mod simple_points;
 mod surrogate;
 #[cfg(test)]
