@@ -139,15 +139,3 @@ pub fn widened_reference(interval_s: f64) -> Policy {
     }
     Policy::new(header, wide).expect("valid")
 }
-
-pub fn observations(count: usize) -> Vec<Observation> {
-    let neighbour = |gap_m| Some(Neighbour { gap_m, speed_mps: 20.0, acceleration_mps2: -1.0 });
-    (0..count)
-        .map(|index| Observation {
-            speed_mps: 20.0 + index as f64 / 100.0,
-            acceleration_mps2: -0.5,
-            ahead: neighbour(15.0),
-            behind: neighbour(12.0),
-        })
-        .collect()
-}
