@@ -1,7 +1,7 @@
 //! Networks for benches of inference and training, and their matrix products.
 
 use crumple_learn::rl::{Batch, Learner, Td3Config, TrainingConfig, Transition};
-use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
+use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::{
     ActionBounds, Network, ObservationScaling, POLICY_VERSION, Policy, PolicyHeader, STATE_LEN,
 };

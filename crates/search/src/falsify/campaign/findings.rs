@@ -2,7 +2,7 @@
 
 use super::coverage::Coverage;
 use super::failures::Failures;
-use super::regions::{LabelledPoints, MAX_POINTS, Region};
+use super::regions::LabelledPoints;
 use super::resolved_config::ResolvedConfig;
 use super::{EvaluatedPoint, FailureKind};
 use crate::falsify::Method;
@@ -15,8 +15,6 @@ pub(super) struct MethodResults {
     pub(super) failures: u64,
     pub(super) best: f64,
     pub(super) coverage: Coverage,
-    /// Failing evaluations among the first points, in order; only for a reference search.
-    pub(super) failing: Vec<u64>,
     /// Evaluations for which the partner controller gave no answer.
     pub(super) other_unanswered: Option<UnansweredPartnerRuns>,
     /// Evaluations of infinite robustness: there is no partner scenario, or no vehicle to collide with.
@@ -36,6 +34,8 @@ pub(super) struct UnansweredPartnerRuns {
 pub(super) struct CampaignFindings {
     pub(super) method_results: Vec<MethodResults>,
     pub(super) failures: Failures,
+    /// The first points of the reference searches.
+    pub(super) sample: LabelledPoints,
 }
 
 impl MethodResults {
@@ -47,7 +47,6 @@ impl MethodResults {
             failures: 0,
             best: f64::INFINITY,
             coverage: Coverage::new(dimension),
-            failing: Vec::new(),
             other_unanswered: None,
             unbounded: 0,
         }
@@ -58,9 +57,6 @@ impl MethodResults {
         if fails {
             self.failures += 1;
             self.first = self.first.or(Some(evaluated.number));
-            if self.method.is_non_adaptive() && evaluated.number <= MAX_POINTS as u64 {
-                self.failing.push(evaluated.number);
-            }
         }
         self.unbounded +=
             u64::from(evaluated.verdict.failure.is_none() && evaluated.verdict.robustness == f64::INFINITY);
@@ -81,34 +77,19 @@ impl MethodResults {
 
 impl CampaignFindings {
     pub(super) fn new(terms: &ResolvedConfig) -> Self {
-        Self { method_results: Vec::new(), failures: Failures::new(terms.specification.clone()) }
+        Self {
+            method_results: Vec::new(),
+            failures: Failures::new(terms.specification.clone()),
+            sample: LabelledPoints::default(),
+        }
     }
 
     pub(super) fn add(&mut self, reached: &mut MethodResults, evaluated: &EvaluatedPoint) {
         let fails = FailureKind::from_verdict(&evaluated.verdict, &self.failures.specification).is_some();
         reached.add(evaluated, fails);
-        self.failures.add(&reached.method, evaluated);
-    }
-
-    /// Finds regions with the first points of the reference searches, generated again.
-    pub(super) fn find_regions(&self, terms: &ResolvedConfig) -> Vec<Region> {
-        let mut sample = LabelledPoints::default();
-        for reached in self.method_results.iter().filter(|reached| reached.method.is_non_adaptive()) {
-            let mut search = reached.method.start(&terms.cube, terms.record.seed);
-            let most = terms.record.budget.min(MAX_POINTS as u64);
-            let mut points = Vec::new().into_iter();
-            for index in 0..most {
-                if sample.is_full() {
-                    break;
-                }
-                if points.len() == 0 {
-                    points = search.ask().into_iter();
-                }
-                if let Some(point) = points.next() {
-                    sample.add(terms.space.values(&point), reached.failing.binary_search(&(index + 1)).is_ok());
-                }
-            }
+        if reached.method.is_non_adaptive() && !self.sample.is_full() {
+            self.sample.add(evaluated.values.clone(), fails);
         }
-        sample.find_regions(&terms.space)
+        self.failures.add(&reached.method, evaluated);
     }
 }
