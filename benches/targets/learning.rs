@@ -41,7 +41,7 @@ fn batch_updates(config: &TrainingConfig, count: usize, each: usize) -> impl FnM
 }
 
 /// Measures rollouts and updates relative to a large product and to `registers`, the result of
-/// [`register_operations_per_second`]. `cargo bench -p crumple-oracle` compares the large product with candle's.
+/// [`register_operations_per_second`].
 fn compare_with_peak(registers: f64, say: &mut dyn FnMut(Measurement)) {
     let (mut large, states, large_operations) = large_product();
     let scenarios = scenarios(64);

@@ -5,7 +5,6 @@
 //! cargo bench --bench targets -- all                # with ten trainings and an assessment: some minutes
 //! cargo bench --bench targets -- rollouts           # a part: learning, rollouts, monitors, proofs, programs, long
 //! cargo bench --bench targets -- limits             # limits of the machine
-//! cargo bench --bench targets -- scaling FILE.svg   # growth of cost, as a list and a plot
 //! cargo bench --bench targets -- compare            # values for benches/compare.py (SUMO, Stable-Baselines3)
 //! ```
 //!
@@ -23,14 +22,13 @@ mod monitors;
 mod programs;
 mod proofs;
 mod rollouts;
-mod scaling;
 mod table;
 
 /// Shared with the other benches, none of which uses all of it.
 #[allow(dead_code, reason = "see above")]
 #[path = "../work"]
 mod work {
-    pub mod long_lines;
+    pub mod chasing_cars;
     pub mod networks;
     pub mod rollouts;
 }
@@ -45,11 +43,10 @@ fn main() {
         [] => print_limits_and_table(&PARTS[..PARTS.len() - 1]),
         ["all"] => print_limits_and_table(&PARTS),
         ["limits"] => print_limits(),
-        ["scaling", file] => print_scaling(file),
         ["compare"] => print_comparison(),
         _ => match PARTS.iter().find(|part| words[..] == [part.0]) {
             Some(part) => print_table(std::slice::from_ref(part)),
-            None => eprintln!("nothing, `all`, `limits`, a part of the table, `scaling FILE.svg` or `compare`"),
+            None => eprintln!("nothing, `all`, `limits`, a part of the table, or `compare`"),
         },
     });
 }
@@ -87,16 +84,6 @@ fn print_table(parts: &[BenchmarkGroup]) {
     for (_, figures) in parts {
         figures(&mut |figure| println!("{}", figure.markdown_row()));
     }
-}
-
-fn print_scaling(file: &str) {
-    let all = scaling::measure();
-    for growth in &all {
-        let points: Vec<String> =
-            growth.points.iter().map(|(size, seconds)| format!("{size}: {:.3} ms", 1e3 * seconds)).collect();
-        println!("{}, exponent {:.2}: {}", growth.name, growth.exponent(), points.join(", "));
-    }
-    std::fs::write(file, scaling::figure(&all).document()).expect("can be written");
 }
 
 fn print_comparison() {

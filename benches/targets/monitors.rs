@@ -2,11 +2,11 @@
 
 use std::hint::black_box;
 
-use crumple_search::falsify::chasing_cars::{ChasingCarsInputs, PIECES, SPECIFICATIONS, simulate};
 use crumple_world::measure::stl::Formula;
 
 use crate::clock::min_cpu_time_s;
 use crate::table::Measurement;
+use crate::work::chasing_cars::{ChasingCarsInputs, PIECES, SPECIFICATIONS, simulate};
 
 fn switching_inputs() -> ChasingCarsInputs {
     ChasingCarsInputs {

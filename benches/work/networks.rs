@@ -1,7 +1,7 @@
 //! Networks for benches of inference and training, and their matrix products.
 
 use crumple_learn::rl::{Batch, Learner, Td3Config, TrainingConfig, Transition};
-use crumple_world::observation::{EstimatorKind, Neighbour, Observation};
+use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::{
     ActionBounds, Network, ObservationScaling, POLICY_VERSION, Policy, PolicyHeader, STATE_LEN,
 };
@@ -138,16 +138,4 @@ pub fn widened_reference(interval_s: f64) -> Policy {
         (from, to) = (from + outputs, to + wide_outputs);
     }
     Policy::new(header, wide).expect("valid")
-}
-
-pub fn observations(count: usize) -> Vec<Observation> {
-    let neighbour = |gap_m| Some(Neighbour { gap_m, speed_mps: 20.0, acceleration_mps2: -1.0 });
-    (0..count)
-        .map(|index| Observation {
-            speed_mps: 20.0 + index as f64 / 100.0,
-            acceleration_mps2: -0.5,
-            ahead: neighbour(15.0),
-            behind: neighbour(12.0),
-        })
-        .collect()
 }

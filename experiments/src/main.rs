@@ -3,16 +3,20 @@
 //!
 //! Each module documents its output and arguments. Without a name the program lists the experiments.
 
-mod behind_recorded;
 mod both_sides;
+mod chasing_cars;
 mod filter_errors;
 mod learning_curve;
 mod scenario_of_input;
 mod search_comparison;
 mod smaller_box;
-mod synthetic_campaign;
-#[allow(clippy::expect_used, reason = "its problems are built in")]
-mod worst_case_comparison;
+
+/// Problems that the benches measure, too.
+#[allow(dead_code, unreachable_pub, reason = "a problem has functions that only a bench uses")]
+#[path = "../../benches/work"]
+mod work {
+    pub(crate) mod chasing_cars;
+}
 
 use std::process::ExitCode;
 
@@ -24,21 +28,19 @@ struct Experiment {
     run: fn(&[String]) -> Result<(), ExperimentError>,
 }
 
-const EXPERIMENTS: [Experiment; 9] = [
-    Experiment { name: "behind_recorded", arguments: "RECORDING.csv... CONTROLLER...", run: behind_recorded::run },
+const EXPERIMENTS: [Experiment; 7] = [
     Experiment {
         name: "both_sides",
         arguments: "RUNS CONTROLLER... [FIGURE.svg] [MEASURED.csv] [space=SPACE]... [seed=N] [estimator=truth] \
                     [follower=CHANGE]",
         run: both_sides::run,
     },
+    Experiment { name: "chasing_cars", arguments: "FIRST_SEED SEEDS [METHOD]", run: chasing_cars::run },
     Experiment { name: "filter_errors", arguments: "SCENARIO [FACTOR]", run: filter_errors::run },
     Experiment { name: "learning_curve", arguments: "TABLE.csv CONFIGURATION FIGURE.svg", run: learning_curve::run },
     Experiment { name: "scenario_of_input", arguments: "INPUT", run: scenario_of_input::run },
     Experiment { name: "search_comparison", arguments: "EVALUATIONS SEEDS", run: search_comparison::run },
     Experiment { name: "smaller_box", arguments: "BOX.toml SHARE", run: smaller_box::run },
-    Experiment { name: "synthetic_campaign", arguments: "FOLDER RUNS SHARDS", run: synthetic_campaign::run },
-    Experiment { name: "worst_case_comparison", arguments: "", run: worst_case_comparison::run },
 ];
 
 fn main() -> ExitCode {

@@ -5,20 +5,17 @@ use std::time::{Duration, Instant, SystemTime};
 use std::{fs, process};
 
 use clap::Args;
-use serde::Serialize;
 
 use super::output;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, progress, utc};
 use crumple_report::assessment::{
-    AssessmentPlan, ComparisonError, EarlierAssessment, EvidenceCache, MergedEvidence, REPORT_FOLDERS, REPORT_KIND,
-    RunInfo, assess, gather_shard,
+    AssessmentPlan, ComparisonError, EarlierAssessment, EvidenceCache, REPORT_FOLDERS, REPORT_KIND, RunInfo, assess,
 };
 use crumple_store::disk::DiskError;
 use crumple_store::program;
 use crumple_store::run_folder;
-use crumple_store::shard::{MissingShards, ShardId};
 
 /// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
 #[derive(Args)]
@@ -82,10 +79,6 @@ pub(super) struct Assess {
     /// Gather all evidence again
     #[arg(long)]
     fresh: bool,
-    /// Gather only shard I of N of the evidence and write no report; N is at most the number of pieces of evidence.
-    /// `crumple merge` combines shards for `assess`. The same command resumes an interrupted shard
-    #[arg(long, value_name = "I/N", conflicts_with_all = ["fresh", "against"])]
-    shard: Option<ShardId>,
     /// Output format: the first page as text, or the summary of assessment.json
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
@@ -108,9 +101,6 @@ impl Assess {
                 plan
             }
         };
-        if let Some(shard) = self.shard {
-            return self.gather(&plan, shard, quiet);
-        }
         let against = self.against.as_deref().map(EarlierAssessment::load).transpose()?;
         if against.is_none() && plan.needs_earlier_assessment() {
             return Err(CliError::Input("--against: the gate `nothing-worse` needs an earlier assessment".to_owned()));
@@ -171,64 +161,6 @@ impl Assess {
         };
         CliError::gate_first(gate, printed)
     }
-
-    fn gather(&self, plan: &AssessmentPlan, shard: ShardId, quiet: bool) -> Result<(), CliError> {
-        let out = self.out.display();
-        interrupt::set_exit_message(
-            format!("the evidence computed so far is in {out}: the same command resumes the work"),
-            quiet,
-        );
-        let bar = progress::counter("computing evidence", quiet);
-        let program = program::identity()?;
-        let pieces = progress::show(&bar, |observer| gather_shard(plan, shard, &self.out, program, observer))?;
-        let message = "`crumple merge` combines the shards";
-        let gathered = EvidenceShardReport { pieces, folder: out.to_string(), shard };
-        let words = || format!("{pieces} pieces of evidence\n{out}: shard {shard}; {message}\n");
-        output::print_result(self.format, &gathered, words)
-    }
-}
-
-#[derive(Serialize)]
-struct EvidenceShardReport {
-    pieces: u64,
-    folder: String,
-    shard: ShardId,
-}
-
-/// Writes the evidence of shards to the folder in which `assess` looks for it. Missing shards end with exit code 1.
-pub(super) fn merge(merged: &MergedEvidence, out: &Path, format: OutputFormat) -> Result<(), CliError> {
-    check_no_symlinks(out)?;
-    let folder = out.join(EVIDENCE_FOLDER);
-    let pieces = merged.write_to_cache(&folder)?;
-    let (is_of_this_build, missing) = (merged.program() == program::identity()?, merged.missing_tasks());
-    let shards = merged.missing_shards();
-    let gate = match missing.is_empty() {
-        true => Ok(()),
-        false => {
-            let missing = missing.join(", ");
-            Err(CliError::Gate(format!("evidence is missing{shards}; `assess` would compute it: {missing}")))
-        }
-    };
-    let folder = folder.display().to_string();
-    let how = match is_of_this_build {
-        true => "`crumple assess` with the same file and --out",
-        false => "`crumple assess` of the build that computed the evidence, which is not this build,",
-    };
-    let words = format!("{pieces} pieces of evidence in {folder}: {how} writes the report\n");
-    let merged = MergedEvidenceReport { pieces, folder, is_of_this_build, missing, shards };
-    CliError::gate_first(gate, output::print_result(format, &merged, || words))
-}
-
-#[derive(Serialize)]
-struct MergedEvidenceReport {
-    /// Pieces of evidence that were copied into the folder, or were there.
-    pieces: usize,
-    folder: String,
-    /// True if `assess` of this build can write the report.
-    is_of_this_build: bool,
-    missing: Vec<String>,
-    #[serde(flatten)]
-    shards: MissingShards,
 }
 
 /// Refuses a report folder that contains symbolic links to folders: a report writes and removes files in its folders.

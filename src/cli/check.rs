@@ -10,7 +10,7 @@ use crumple_verify::{Certificate, CertificateParseError, ProvedClaim, Statement,
 use serde::Serialize;
 
 use super::simulate::OutputFormat;
-use super::{CliError, acc_benchmark, args, file_kind, interrupt, output, progress};
+use super::{CliError, args, file_kind, interrupt, output, progress};
 use crumple_evidence::{
     BlockSelection, CertificateReport, CountsStatus, Rerun, RerunError, check_covers_scenario, checker_file,
     report_json, report_text,
@@ -164,9 +164,6 @@ impl Check {
             && let Some(source) = self.policy.as_deref().filter(|path| is_network_source(path))
         {
             let place = source.display();
-            if matches!(certificate.statement, Statement::AdaptiveCruise(_)) {
-                return Ok(Some(acc_benchmark::load_network(source)?.network_bytes().to_vec()));
-            }
             let read = controller_file::load(source, NameOrigin::User).map_err(|error| match error {
                 ControllerFileError::NeedsMapping { .. } | ControllerFileError::Normalised { .. } => {
                     CliError::Input(format!(

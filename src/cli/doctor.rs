@@ -31,7 +31,7 @@ struct DoctorReport {
     threads: usize,
     /// SHA-256 of the program: only the same program can resume interrupted work.
     program_sha256: Option<&'static str>,
-    features: [Feature; 3],
+    features: [Feature; 2],
     needs: Vec<Dependency>,
 }
 
@@ -113,7 +113,7 @@ fn dependencies() -> Vec<Dependency> {
         Dependency {
             name: "python",
             found: shown(python.clone()),
-            used_for: "controllers in Python, job files of `crumple plan`",
+            used_for: "controllers in Python",
             install: "https://www.python.org",
         },
         Dependency {
@@ -121,24 +121,6 @@ fn dependencies() -> Vec<Dependency> {
             found: module("crumple"),
             used_for: "notebooks, Gymnasium, callables as controllers",
             install: "pip install ./python",
-        },
-        Dependency {
-            name: "hyperqueue",
-            found: module("hyperqueue").or_else(|| shown(find_program("hq"))),
-            used_for: "campaigns on many machines by HyperQueue",
-            install: "pip install hyperqueue",
-        },
-        Dependency {
-            name: "ray",
-            found: module("ray"),
-            used_for: "campaigns on many machines by Ray",
-            install: "pip install ray",
-        },
-        Dependency {
-            name: "sbatch",
-            found: shown(find_program("sbatch")),
-            used_for: "campaigns on many machines by Slurm",
-            install: "part of the cluster's software",
         },
         Dependency {
             name: "cargo-fuzz",

@@ -9,13 +9,12 @@ use super::output;
 use crumple_evidence::InvalidRate;
 use crumple_evidence::rare::RareError;
 use crumple_learn::retrain::RetrainError;
-use crumple_learn::rl::MergeTrainingsError;
 use crumple_learn::tune::TuneError;
-use crumple_report::assessment::{AssessConfigError, AssessError, CacheError, EvidenceShardError};
+use crumple_report::assessment::{AssessConfigError, AssessError, CacheError};
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
-use crumple_suites::{SuiteError, SuiteShardError};
+use crumple_suites::SuiteError;
 use crumple_world::recording::RecordingError;
 use crumple_world::scenario::file::FileError;
 use crumple_world::sim::{RefusedController, RunError};
@@ -132,15 +131,12 @@ from_errors! {
     AssessError { Cache, Campaign }
     CampaignError { Disk, Work }
     AssessConfigError { File }
-    EvidenceShardError { Work, Assess }
-    MergeTrainingsError { RunFolder, Training }
-    RareError { RunFolder, Merge }
+    RareError { RunFolder }
     RefusedController {}
     RetrainError { Disk, RunFolder, Campaign, Training }
     RunError {}
     CacheError { Disk }
     SuiteError { File }
-    SuiteShardError { RunFolder }
     RunFolderError { Disk }
     TuneError { Disk, RunFolder }
 }

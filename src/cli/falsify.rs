@@ -9,11 +9,9 @@ use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, output, progress, value_enums};
 use crumple_core::observer::Listener;
 use crumple_search::falsify::campaign::{
-    Campaign, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog, MergedCampaign, MethodSummary,
-    SearchObjective, ShardSummary,
+    Campaign, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog, MethodSummary, SearchObjective,
 };
 use crumple_search::falsify::{FailureCriterion, MetamorphicRelation, Method, non_finite};
-use crumple_store::shard::ShardId;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{FindSpaceError, ScenarioSpace, find_space};
@@ -41,11 +39,6 @@ file 3 MiB. docs/stl.md lists all signals, operators and their precedence. An ev
 bytes of disk, or with --log summary 40 bytes until the campaign ends; memory does not grow with the budget. A \
 million evaluations need 360 MB, and in the space `paper` about six minutes on two cores.
 
-Shard I of N (--shard, 1 <= I <= N <= 10 000, N at most --budget) is the I-th of N parts of the budget of every \
-method. The reference searches evaluate the same points as on one machine. The method starts again in every shard \
-with a separate seed, so that N shards are N searches of budget/N. `crumple merge` combines them into one campaign. \
-A shard has four files and no log.
-
 Examples:
   crumple falsify --controller baseline --space paper --out runs/baseline
   crumple falsify --controller policy --space high-risk --budget 20000 --seed 7 \\
@@ -53,7 +46,6 @@ Examples:
   crumple falsify --controller idm --spec 'always v1.time_gap_s > 0.3' --out runs/idm
   crumple falsify --controller policy --aim likeliest --out runs/likeliest
   crumple falsify --controller my-acc.toml --space traffic --budget 5000 --expect nothing
-  crumple falsify --controller policy --budget 1000000 --shard 3/64 --out shards/3
   crumple simulate runs/baseline/counterexamples/01-2-hits-1.toml --controller baseline \\
     --plot crash.svg
   crumple simulate runs/idm/counterexamples/01-violation.toml --controller idm \\
@@ -92,19 +84,15 @@ pub(super) struct Falsify {
     /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
-    /// Detail of the log of evaluations [default: full; for a shard, summary]
-    #[arg(long, value_name = "L", value_parser = value_enums::one_of(value_enums::LOGS))]
-    log: Option<EvaluationLog>,
-    /// Run only shard I of N: a part of the budget of every method; `crumple merge` combines shards into one campaign
-    #[arg(long, value_name = "I/N")]
-    shard: Option<ShardId>,
+    /// Detail of the log of evaluations
+    #[arg(long, value_name = "L", default_value = "full", value_parser = value_enums::one_of(value_enums::LOGS))]
+    log: EvaluationLog,
     /// Make the search a gate: exit code 1 if the result differs from this expectation
-    #[arg(long, value_enum, value_name = "E", conflicts_with = "shard")]
+    #[arg(long, value_enum, value_name = "E")]
     expect: Option<SearchExpectation>,
-    /// Folder of the campaign, created if missing [default: crumple-campaign; for a shard,
-    /// crumple-campaign-shard-I-of-N]
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
+    /// Folder of the campaign, created if missing
+    #[arg(long, value_name = "DIR", default_value = "crumple-campaign")]
+    out: PathBuf,
     /// Resume the campaign in the folder
     #[arg(long)]
     resume: bool,
@@ -160,11 +148,6 @@ impl SearchExpectation {
 
 impl Falsify {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        if let (Some(shard), Some(EvaluationLog::Full)) = (self.shard, self.log) {
-            let problem = "a shard has no log: omit --log or --shard";
-            return Err(CliError::Input(format!("--log: shard {shard}: {problem}")));
-        }
-        let out = args::result_folder(self.out.as_deref(), "crumple-campaign", self.shard);
         let space = load_space(&self.space)?;
         let nominal = space.scenario(&space.nominal()).map_err(CliError::input)?;
         let specification = args::parse_specification(&self.spec, &nominal, quiet)?;
@@ -180,20 +163,14 @@ impl Falsify {
             budget: self.budget,
             seed: self.seed,
         };
-        let kept = format!("the evaluations so far are in {}", out.display());
+        let kept = format!("the evaluations so far are in {}", self.out.display());
         let resume_note = match campaign.controller.kind.identity() {
             Some(_) => format!("{kept}: the same command with --resume continues"),
             None => format!("{kept}; the controller states no identity, so the campaign cannot resume"),
         };
         interrupt::set_exit_message(resume_note, quiet);
-        output::note_nothing_to_resume(self.resume, &out, quiet);
-        let part = match self.shard {
-            None => self.budget,
-            Some(shard) => {
-                shard.range(self.budget, "evaluations of each method").map_or(0, |part| part.end - part.start)
-            }
-        };
-        let bar = progress::campaign_bar(part.saturating_mul(campaign.methods().len() as u64), quiet);
+        output::note_nothing_to_resume(self.resume, &self.out, quiet);
+        let bar = progress::campaign_bar(self.budget.saturating_mul(campaign.methods().len() as u64), quiet);
         let observer = Listener(|state: &CampaignProgress| {
             bar.set_position(state.evaluations);
             bar.set_message(match &state.method {
@@ -203,65 +180,15 @@ impl Falsify {
                 None => format!("{}; replaying and shrinking;", format_failure_count(state.failures)),
             });
         });
-        if let Some(shard) = self.shard {
-            let done = campaign.run_shard(shard, &out, self.resume, &observer);
-            bar.finish_and_clear();
-            return print_shard_summary(shard, done?, &out, self.format);
-        }
-        let log = self.log.unwrap_or(EvaluationLog::Full);
-        let kept = if log == EvaluationLog::Full { ", evaluations" } else { "" };
-        let summary = campaign.run(&out, CampaignOptions { log, resume: self.resume }, &observer);
+        let kept = if self.log == EvaluationLog::Full { ", evaluations" } else { "" };
+        let summary = campaign.run(&self.out, CampaignOptions { log: self.log, resume: self.resume }, &observer);
         bar.finish_and_clear();
         let summary = summary?;
         let found = if summary.counterexamples.is_empty() { "" } else { ", counterexamples" };
-        output::note(&format!("wrote {} (summary{found}{kept})", out.display()), quiet);
+        output::note(&format!("wrote {} (summary{found}{kept})", self.out.display()), quiet);
         let expected = self.expect.map_or(Ok(()), |expected| expected.check(&summary));
         CliError::gate_first(expected, print_summary(&summary, self.format))
     }
-}
-
-fn print_shard_summary(shard: ShardId, done: ShardSummary, out: &Path, format: OutputFormat) -> Result<(), CliError> {
-    let words = || {
-        format!(
-            "{} evaluations, {} of {} kind{}\n{}: shard {shard}; `crumple merge` combines the shards\n",
-            done.evaluations,
-            format_failure_count(done.failures),
-            done.kinds,
-            if done.kinds == 1 { "" } else { "s" },
-            out.display()
-        )
-    };
-    output::print_result(format, &done, words)
-}
-
-/// Merges shards into a campaign and prints its summary. Missing shards end with exit code 1; the campaign is then
-/// written only if `--partial` is given.
-pub(super) fn merge(
-    merged: &MergedCampaign,
-    folder: &Path,
-    (format, is_part_wanted): (OutputFormat, bool),
-    quiet: bool,
-) -> Result<(), CliError> {
-    let missing: u64 = merged.missing_ranges().iter().map(|range| range.end - range.start).sum();
-    let is_written = missing == 0 || is_part_wanted;
-    let summary = if is_written { merged.write_to(folder)? } else { merged.summary()? };
-    if is_written {
-        let found = if summary.counterexamples.is_empty() { "" } else { ", counterexamples" };
-        output::note(&format!("wrote {} (summary{found})", folder.display()), quiet);
-    }
-    let printed = print_summary(&summary, format);
-    let gate = if missing == 0 {
-        Ok(())
-    } else {
-        let which = merged.missing_shards();
-        let written = if is_part_wanted {
-            "the written campaign is incomplete"
-        } else {
-            "nothing is written (--partial writes the existing part)"
-        };
-        Err(CliError::Gate(format!("{missing} evaluations of each method are missing{which}; {written}")))
-    };
-    CliError::gate_first(gate, printed)
 }
 
 /// JSON summary. Some fields refer to the requested method and some to all methods; the two additional fields

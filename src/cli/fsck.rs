@@ -11,7 +11,7 @@ use super::simulate::OutputFormat;
 use super::{CliError, output};
 use crumple_core::quoting::TerminalText;
 use crumple_report::assessment::REPORT_KIND;
-use crumple_search::falsify::campaign::{CAMPAIGN_KIND, Sharding, verify_journal};
+use crumple_search::falsify::campaign::verify_journal;
 use crumple_store::run_folder::{FolderExamination, examine, is_run_folder};
 
 /// Check result folders for missing or modified files
@@ -57,7 +57,6 @@ struct FolderReport {
     unlisted_files: Vec<String>,
     #[serde(rename = "beside")]
     other_files: Vec<String>,
-    missing_evaluations: u64,
 }
 
 #[derive(Serialize)]
@@ -71,7 +70,7 @@ impl FolderReport {
         Self { folder: folder.display().to_string(), error: Some(failure.to_string()), ..Self::default() }
     }
 
-    fn new(folder: &Path, found: &FolderExamination, missing_evaluations: u64) -> Self {
+    fn new(folder: &Path, found: &FolderExamination) -> Self {
         let damaged = found.files.iter().filter_map(|(name, state)| {
             let problem = state.as_ref().err()?.clone();
             Some(DamagedFile { name: name.clone(), problem })
@@ -87,7 +86,6 @@ impl FolderReport {
             damaged: damaged.collect(),
             unlisted_files: found.unlisted_files.clone(),
             other_files: found.unrelated_files.clone(),
-            missing_evaluations,
         }
     }
 }
@@ -140,11 +138,8 @@ impl Fsck {
             // Evidence and listing serve the next report and have separate hashes.
             found.unrelated_files.retain(|name| name != EVIDENCE_FOLDER && name != LISTING_FILE);
         }
-        // A partial campaign is intact, but incomplete.
-        let part = Sharding::load_from_folder(folder).filter(|_| found.kind == CAMPAIGN_KIND && found.is_complete);
-        let missing = part.map_or(0, |part| part.missing_evaluation_count());
-        *text += &format_report(folder, &found, missing);
-        Ok(FolderReport::new(folder, &found, missing))
+        *text += &format_report(folder, &found);
+        Ok(FolderReport::new(folder, &found))
     }
 }
 
@@ -159,13 +154,9 @@ fn run_folders_in(folder: &Path) -> Vec<PathBuf> {
     if seeds.is_empty() || is_run_folder(folder) { vec![folder.to_owned()] } else { seeds }
 }
 
-fn format_report(folder: &Path, found: &FolderExamination, missing_evaluations: u64) -> String {
+fn format_report(folder: &Path, found: &FolderExamination) -> String {
     let is_damaged = found.files.iter().any(|(_, state)| state.is_err());
-    let part = format!(
-        "incomplete: merged without {missing_evaluations} evaluations of each method, because shards were missing"
-    );
     let state = match (found.is_complete, found.is_of_this_build) {
-        (true, _) if missing_evaluations > 0 => &part,
         (true, _) => "complete",
         (false, true) if !found.is_intact() => "unfinished",
         (false, true) => "unfinished, --resume continues it",

@@ -1,50 +1,31 @@
-//! `crumple merge`: combines the shards of divided work.
+//! `crumple merge`: combines the shards of a count.
 
 use std::path::{Path, PathBuf};
 
-use clap::{Args, ValueEnum};
-use serde::Serialize;
+use clap::Args;
 
 use super::simulate::OutputFormat;
-use super::{CliError, assess, exposure, falsify, output, rare, suite, train, verify};
+use super::{CliError, output, verify};
 use crumple_core::digits;
 use crumple_evidence::RateFolderError;
-use crumple_evidence::exposure::RatePerExposure;
-use crumple_evidence::rare::{ESTIMATE_SHARD_KIND, MergedEstimate};
 use crumple_evidence::{COUNT_SHARD_KIND, MergedCount, PartialCount};
-use crumple_learn::rl::{MergedTrainings, is_trainings_folder};
-use crumple_report::assessment::{ASSESSMENT_SHARD_KIND, MergedEvidence};
-use crumple_search::falsify::campaign::{CAMPAIGN_SHARD_KIND, MergedCampaign};
-use crumple_store::run_folder::{CompletedRun, RunState, read_state};
+use crumple_store::run_folder::{RunState, read_state};
 use crumple_store::shard::{MergeError, format_ranges};
-use crumple_suites::{MergedSuite, SUITE_SHARD_KIND};
 
-/// Combine shards produced on several machines (see --shard)
+/// Combine the shards of a count that several machines made
 #[derive(Args)]
 #[command(after_long_help = "\
-Combines folders of `verify rate` (with or without --rare), `falsify`, `suite run`, `assess` and `train --seeds`, \
-each with --shard I/N. They must be of one kind, in any order, at most 100 000. A shard may be given twice, and \
-shards of several N may be mixed if no work is done twice. Exit code 2 for shards of different work, shards that \
+Combines folders of `verify rate --shard I/N`, in any order, at most 100 000. A shard may be given twice, and shards \
+of several N may be mixed if no run is counted twice. Exit code 2 for shards of different counts, shards that \
 overlap, shards whose files have changed, and two that state different results for the same shard. Merging again \
 into the same --out changes nothing.
 
-If no shard is missing:
-  verify rate   the folder and the printed text are those of the same work on one machine, to the byte, \
-with certificate and failures per hour
-  falsify       the folder is that of one campaign: distinct failures of all shards, one Pareto front, \
-coverage of the union. With --method uniform or halton it is that of `falsify --log summary` on one machine, to the \
-byte; \
-with other methods there are as many searches as shards
-  suite run     the printed text, and the scenarios in --out, are those of one machine, to the byte
-  assess        the evidence is written to --out: `crumple assess` with the same file and --out \
-writes the report without computing it again
-  train         the folders `seed-N`, training.json and the learning curve are those of one machine, to the byte
+If no shard is missing, the folder and the printed text are those of a count on one machine, to the byte, with the \
+certificate. In a space that states its exposure, the command without --shard, with --resume and this --out, then \
+prints the failures per hour.
 
-If shards are missing or unfinished, crumple lists them, and the exit code is 1: run the same command with --resume \
-for each, and merge again. For a count, an estimate and a suite crumple then writes nothing. For a search it writes \
-the result only with --partial, as a separate campaign that needs another --out than the complete one. Evidence and \
-trainings are written as far as they exist. --partial is refused except for searches. With --format json standard \
-output also lists the missing shards.
+If shards are missing or unfinished, crumple lists them, writes nothing, and the exit code is 1: run the same \
+command with --resume for each, and merge again. With --format json standard output also lists the missing shards.
 
 A count cannot omit missing runs: they may be missing because of their result. The printed bound therefore counts \
 all missing runs as failures, so that it holds whatever their result is.
@@ -52,136 +33,21 @@ all missing runs as failures, so that it holds whatever their result is.
 Examples:
   crumple verify rate --controller policy --runs 1000000 --shard 1/2 --out shards/1
   crumple verify rate --controller policy --runs 1000000 --shard 2/2 --out shards/2
-  crumple merge shards/* --out rate
-  crumple merge searches/* --out campaign --format json
-  crumple merge tests/* --out failures --format junit")]
+  crumple merge shards/* --out rate --format json")]
 pub(super) struct Merge {
     /// Folders of shards
     #[arg(required = true, value_name = "FOLDER")]
     folders: Vec<PathBuf>,
-    /// Folder for the result, not one of the shards; for a suite, the folder of failed scenarios
+    /// Folder for the result, not one of the shards
     #[arg(long, value_name = "DIR")]
     out: PathBuf,
-    /// For a search: write the result even if shards are missing; the exit code is still 1
-    #[arg(long)]
-    partial: bool,
     /// Output format
     #[arg(long, value_enum, default_value = "text")]
-    format: MergeFormat,
-}
-
-#[derive(Clone, Copy, PartialEq, ValueEnum)]
-enum MergeFormat {
-    /// Text
-    Text,
-    /// One JSON object
-    Json,
-    /// For a suite: JUnit XML for a build server
-    Junit,
-    /// For a suite: a page, with plots of failures of the controllers that are found here with the recorded identity
-    Html,
-}
-
-impl MergeFormat {
-    fn suite_format(self) -> suite::SuiteFormat {
-        match self {
-            Self::Text => suite::SuiteFormat::Text,
-            Self::Json => suite::SuiteFormat::Json,
-            Self::Junit => suite::SuiteFormat::Junit,
-            Self::Html => suite::SuiteFormat::Html,
-        }
-    }
+    format: OutputFormat,
 }
 
 const MAX_FOLDERS: usize = 100_000;
 const MAX_PRINTED_RANGES: usize = 20;
-
-enum ShardFolder {
-    /// A shard of trainings, finished or not: each seed has a separate folder.
-    Trainings,
-    /// Any other shard, finished.
-    Finished(CompletedRun),
-}
-
-impl ShardFolder {
-    /// Opens a shard, or returns the reason why it cannot be merged yet.
-    fn open(folder: &Path) -> Result<Result<Self, String>, CliError> {
-        if is_trainings_folder(folder) {
-            return Ok(Ok(Self::Trainings));
-        }
-        Ok(match read_state(folder)? {
-            RunState::Missing => Err("not started".to_owned()),
-            RunState::InProgress(kind) => Err(format!("a {kind}, unfinished")),
-            RunState::Complete(found) => Ok(Self::Finished(found)),
-        })
-    }
-
-    fn kind(&self) -> &str {
-        match self {
-            Self::Trainings => SHARD_OF_TRAININGS,
-            Self::Finished(found) => found.kind(),
-        }
-    }
-}
-
-const SHARD_OF_TRAININGS: &str = "shard of trainings";
-
-enum AnyMerged {
-    Count(MergedCount),
-    Estimate(Box<MergedEstimate>),
-    Campaign(Box<MergedCampaign>),
-    Suite(Box<MergedSuite>),
-    Assessment(Box<MergedEvidence>),
-    Trainings(Box<MergedTrainings>),
-}
-
-impl AnyMerged {
-    fn from_shard(folder: &Path, shard: &ShardFolder) -> Result<Self, CliError> {
-        let found = match shard {
-            ShardFolder::Finished(found) => found,
-            ShardFolder::Trainings => return Ok(Self::Trainings(Box::new(MergedTrainings::from_shard(folder)?))),
-        };
-        Ok(match found.kind() {
-            COUNT_SHARD_KIND => Self::Count(MergedCount::new(folder, found)?),
-            ESTIMATE_SHARD_KIND => Self::Estimate(Box::new(MergedEstimate::new(folder, found)?)),
-            CAMPAIGN_SHARD_KIND => Self::Campaign(Box::new(MergedCampaign::from_shard(folder, found)?)),
-            SUITE_SHARD_KIND => Self::Suite(Box::new(MergedSuite::new(folder, found)?)),
-            ASSESSMENT_SHARD_KIND => Self::Assessment(Box::new(MergedEvidence::new(folder, found)?)),
-            kind => {
-                return Err(CliError::at(folder, format!("a {kind}, which is not a shard that can be merged")));
-            }
-        })
-    }
-
-    fn kind(&self) -> &'static str {
-        match self {
-            Self::Count(_) => COUNT_SHARD_KIND,
-            Self::Estimate(_) => ESTIMATE_SHARD_KIND,
-            Self::Campaign(_) => CAMPAIGN_SHARD_KIND,
-            Self::Suite(_) => SUITE_SHARD_KIND,
-            Self::Assessment(_) => ASSESSMENT_SHARD_KIND,
-            Self::Trainings(_) => SHARD_OF_TRAININGS,
-        }
-    }
-
-    fn add_shard(&mut self, folder: &Path, shard: &ShardFolder) -> Result<(), CliError> {
-        let (kind, own) = (shard.kind(), self.kind());
-        let is_same = kind == own;
-        let taken = match (self, shard) {
-            (Self::Trainings(merged), ShardFolder::Trainings) => return Ok(merged.add_shard(folder)?),
-            (Self::Count(merged), ShardFolder::Finished(found)) if is_same => merged.add_shard(folder, found),
-            (Self::Estimate(merged), ShardFolder::Finished(found)) if is_same => merged.add_shard(folder, found),
-            (Self::Campaign(merged), ShardFolder::Finished(found)) if is_same => merged.add_shard(folder, found),
-            (Self::Suite(merged), ShardFolder::Finished(found)) if is_same => merged.add_shard(folder, found),
-            (Self::Assessment(merged), ShardFolder::Finished(found)) if is_same => merged.add_shard(folder, found),
-            _ => {
-                let problem = format!("a {kind}, but the folders before it are of kind {own}");
-                return Err(CliError::at(folder, problem));
-            }
-        };
-        Ok(taken?)
-    }
-}
 
 /// Resolves the symbolic links of a path whose last components may not exist.
 fn resolve_path(path: &Path) -> PathBuf {
@@ -199,12 +65,26 @@ impl Merge {
             )));
         }
         self.check_out_folder()?;
-        let (mut merged, mut open): (Option<AnyMerged>, _) = (None, Vec::new());
+        let (mut merged, mut open): (Option<MergedCount>, _) = (None, Vec::new());
         for folder in &self.folders {
-            match (ShardFolder::open(folder)?, &mut merged) {
-                (Err(why), _) => open.push(format!("{}: {why}", folder.display())),
-                (Ok(shard), None) => merged = Some(AnyMerged::from_shard(folder, &shard)?),
-                (Ok(shard), Some(merged)) => merged.add_shard(folder, &shard)?,
+            let found = match read_state(folder)? {
+                RunState::Missing => {
+                    open.push(format!("{}: not started", folder.display()));
+                    continue;
+                }
+                RunState::InProgress(kind) => {
+                    open.push(format!("{}: a {kind}, unfinished", folder.display()));
+                    continue;
+                }
+                RunState::Complete(found) if found.kind() == COUNT_SHARD_KIND => found,
+                RunState::Complete(found) => {
+                    let problem = format!("a {}, not a {COUNT_SHARD_KIND}", found.kind());
+                    return Err(CliError::at(folder, problem));
+                }
+            };
+            match &mut merged {
+                None => merged = Some(MergedCount::new(folder, &found)?),
+                Some(merged) => merged.add_shard(folder, &found)?,
             }
         }
         for folder in &open {
@@ -213,19 +93,7 @@ impl Merge {
         let Some(merged) = merged else {
             return Err(CliError::Gate("none of these folders contains a finished shard".to_owned()));
         };
-        if self.partial && !matches!(merged, AnyMerged::Campaign(_)) {
-            let kind = merged.kind();
-            return Err(CliError::Input(format!("--partial: only for searches; these folders are of kind: {kind}")));
-        }
-        let format = self.text_or_json_format(merged.kind());
-        match merged {
-            AnyMerged::Suite(merged) => suite::merge(&merged, &self.out, self.format.suite_format(), quiet),
-            AnyMerged::Count(merged) => self.write_count(&merged, format?),
-            AnyMerged::Estimate(merged) => rare::merge(&merged, &self.out, format?),
-            AnyMerged::Campaign(merged) => falsify::merge(&merged, &self.out, (format?, self.partial), quiet),
-            AnyMerged::Assessment(merged) => assess::merge(&merged, &self.out, format?),
-            AnyMerged::Trainings(merged) => train::merge(&merged, &self.out, format?, quiet),
-        }
+        self.write_count(&merged)
     }
 
     /// Checks that the output folder is in none of the shards, where it would be taken for a part of one.
@@ -240,21 +108,11 @@ impl Merge {
         }
     }
 
-    fn text_or_json_format(&self, kind: &str) -> Result<OutputFormat, CliError> {
-        match self.format {
-            MergeFormat::Text => Ok(OutputFormat::Text),
-            MergeFormat::Json => Ok(OutputFormat::Json),
-            MergeFormat::Junit | MergeFormat::Html => Err(CliError::Input(format!(
-                "--format: JUnit and HTML are only for suites; these folders are of kind: {kind}"
-            ))),
-        }
-    }
-
-    fn write_count(&self, merged: &MergedCount, format: OutputFormat) -> Result<(), CliError> {
+    fn write_count(&self, merged: &MergedCount) -> Result<(), CliError> {
         let written = match merged.write_in(&self.out) {
             // Print the counts even if the claim was rejected.
             Err(rejected @ RateFolderError::Rejected { .. }) => {
-                let printed = match format {
+                let printed = match self.format {
                     OutputFormat::Json => output::print_json(&merged.partial_count()),
                     OutputFormat::Text => {
                         let tally = merged.tally().unwrap_or_default();
@@ -267,7 +125,7 @@ impl Merge {
         };
         let Some((path, certificate)) = written else {
             let so_far = merged.partial_count();
-            let printed = match format {
+            let printed = match self.format {
                 OutputFormat::Json => output::print_json(&so_far),
                 OutputFormat::Text => output::print(&format_incomplete(&so_far)),
             };
@@ -278,26 +136,15 @@ impl Merge {
             );
         };
         let message = verify::certificate_verdict(&path, &certificate)?;
-        let exposed = merged.rate_per_exposure()?;
-        match format {
-            OutputFormat::Json => output::print_json(&MergedCountReport { count: merged.partial_count(), exposed }),
+        match self.format {
+            OutputFormat::Json => output::print_json(&merged.partial_count()),
             OutputFormat::Text => {
                 let tally = merged.tally().unwrap_or_default();
-                let exposed = exposed.map(|rate| exposure::format_rate(&rate)).unwrap_or_default();
                 let counted = verify::tally_line(merged.record().is_comparison(), &tally);
-                output::print_coloured(OutputFormat::Text, &format!("{counted}{message}{exposed}"))
+                output::print_coloured(OutputFormat::Text, &format!("{counted}{message}"))
             }
         }
     }
-}
-
-#[derive(Serialize)]
-struct MergedCountReport {
-    #[serde(flatten)]
-    count: PartialCount,
-    /// Failures per hour, if the scenario space states the exposure of its recordings.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    exposed: Option<RatePerExposure>,
 }
 
 fn format_incomplete(so_far: &PartialCount) -> String {

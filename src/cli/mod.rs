@@ -1,11 +1,9 @@
 //! The command line, with one file per subcommand.
 
-mod acc_benchmark;
 mod args;
 mod artifacts;
 mod assess;
 mod avoid;
-mod benchmark;
 mod check;
 mod describe;
 mod describe_fmu;
@@ -29,7 +27,6 @@ mod list;
 mod merge;
 mod output;
 mod output_folder;
-mod plan;
 mod preset;
 mod progress;
 mod rare;
@@ -70,13 +67,13 @@ Exit codes:
 
 /// Subcommands by task, in the order of `--help`.
 const TASKS: &[(&str, &[&str])] = &[
-    ("Report on controllers", &["assess", "suite", "benchmark"]),
+    ("Report on controllers", &["assess", "suite"]),
     ("Simulate and view", &["simulate", "explore", "export"]),
     ("Search for collisions", &["falsify", "worst-case", "avoid"]),
     ("Prove", &["verify", "check"]),
     ("Train and tune", &["train", "retrain", "tune"]),
     ("Use recorded data", &["import", "fit"]),
-    ("Divide work among machines", &["plan", "merge", "fsck"]),
+    ("Manage results", &["merge", "fsck"]),
     ("Look up", &["list", "show", "describe", "doctor"]),
     ("Set up the shell", &["completions", "man"]),
 ];
@@ -112,10 +109,8 @@ enum CliCommand {
     Avoid(avoid::Avoid),
     WorstCase(worst_case::WorstCase),
     Check(check::Check),
-    Benchmark(benchmark::BenchmarkCommand),
     Verify(verify::Verify),
     Suite(suite::SuiteCommand),
-    Plan(Box<plan::PlanCommand>),
     Merge(merge::Merge),
     Fsck(fsck::Fsck),
     List(list::ListCommand),
@@ -162,10 +157,8 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         CliCommand::Check(command) => command.run(quiet),
         CliCommand::WorstCase(command) => command.run(quiet),
         CliCommand::Falsify(command) => command.run(quiet),
-        CliCommand::Benchmark(command) => command.run(quiet),
         CliCommand::Verify(command) => command.run(quiet),
         CliCommand::Suite(command) => command.run(quiet),
-        CliCommand::Plan(command) => command.run(quiet),
         CliCommand::Merge(command) => command.run(quiet),
         CliCommand::Fsck(command) => command.run(),
         CliCommand::List(command) => command.run(),

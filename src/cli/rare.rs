@@ -3,16 +3,11 @@
 use std::fmt::Write;
 use std::path::Path;
 
-use serde::Serialize;
-
 use super::simulate::OutputFormat;
 use super::{CliError, exposure, interrupt, output, progress};
 use crumple_core::digits;
 use crumple_core::quoting::TerminalText;
-use crumple_evidence::rare::{
-    MAX_LEVELS, MergedEstimate, PILOT_FACTORS, RareEstimate, RareFolder, RareMethod, RarePlan, RareReport,
-};
-use crumple_store::shard::{MissingShards, ShardId};
+use crumple_evidence::rare::{MAX_LEVELS, PILOT_FACTORS, RareEstimate, RareFolder, RareMethod, RarePlan, RareReport};
 use crumple_world::observation::EstimatorKind;
 
 /// Estimates a rate, writes the estimate to `folder` and prints it. With `resume` it continues from the existing
@@ -65,53 +60,6 @@ fn resume_hint(plan: &RarePlan, folder: &Path) -> String {
         Some(_) => format!("the results so far are in {}: the same command with --resume continues", folder.display()),
         None => "the controller states no identity, so the work cannot resume: start again with a new --out".to_owned(),
     }
-}
-
-/// Makes a shard of an estimate in `folder`, unless it exists.
-pub(super) fn run_shard(
-    plan: &RarePlan,
-    (shard, resamples): (ShardId, u32),
-    folder: &Path,
-    resume: bool,
-    (format, quiet): (OutputFormat, bool),
-) -> Result<(), CliError> {
-    let mut part = plan.open_shard_folder(shard, resamples, folder, resume)?;
-    if !part.is_complete() {
-        interrupt::set_exit_message(resume_hint(plan, folder), quiet);
-        let bar = progress::counter("placing levels", quiet);
-        let pilot = progress::show(&bar, |observer| part.run_pilot(observer))?;
-        let bar = progress::counter("climbing", quiet);
-        progress::show(&bar, |observer| part.run_repetitions(&pilot, observer))?;
-    }
-    let message = "`crumple merge` combines the shards";
-    let words = || format!("{}: shard {shard}; {message}\n", folder.display());
-    output::print_result(format, &ShardReport { folder, shard }, words)
-}
-
-#[derive(Serialize)]
-struct ShardReport<'a> {
-    folder: &'a Path,
-    shard: ShardId,
-}
-
-#[derive(Serialize)]
-struct MissingRepetitions {
-    missing_repetitions: u64,
-    #[serde(flatten)]
-    shards: MissingShards,
-}
-
-pub(super) fn merge(merged: &MergedEstimate, folder: &Path, format: OutputFormat) -> Result<(), CliError> {
-    let Some((_, report)) = merged.write_in(folder)? else {
-        let (missing_repetitions, shards) = (merged.missing_part_count(), merged.missing_shards());
-        let gate = format!("{missing_repetitions} repetitions are missing{shards}; nothing is written");
-        let printed = match format {
-            OutputFormat::Json => output::print_json(&MissingRepetitions { missing_repetitions, shards }),
-            OutputFormat::Text => Ok(()),
-        };
-        return CliError::gate_first(Err(CliError::Gate(gate)), printed);
-    };
-    output::print_result(format, &report, || format_report(&report))
 }
 
 /// Share of one run in an estimate from which crumple warns.

@@ -68,11 +68,7 @@ pub(super) struct Simulate {
     #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| parse_path_ending_in(path, ["svg", "png"]))]
     plot: Option<PathBuf>,
     /// Write the motion as a table, one row per sample and vehicle; replaces an existing file
-    #[arg(
-        long,
-        value_name = "F.csv|F.parquet",
-        value_parser = |path: &str| parse_path_ending_in(path, ["csv", "parquet"])
-    )]
+    #[arg(long, value_name = "F.csv", value_parser = |path: &str| parse_path_ending_in(path, ["csv"]))]
     trace: Option<PathBuf>,
     /// Evaluate a specification and its robustness: `no contact`, or a formula of signal temporal logic; may be
     /// repeated
@@ -208,11 +204,7 @@ impl Simulate {
                 files.push((path_for_scenario(path, name), figure));
             }
             if let Some(path) = &self.trace {
-                let table = match extension(path) {
-                    Some("csv") => export::to_csv(trace).map_err(CliError::input),
-                    _ => feature::encode_parquet(trace),
-                };
-                files.push((path_for_scenario(path, name), table?));
+                files.push((path_for_scenario(path, name), export::to_csv(trace).map_err(CliError::input)?));
             }
         }
         Ok(RenderedRun {
@@ -336,12 +328,11 @@ pub(super) fn render_motion_figure(
     }
 }
 
-/// Parses a path with one of two extensions, in a format that this build writes.
-pub(super) fn parse_path_ending_in(path: &str, extensions: [&str; 2]) -> Result<PathBuf, String> {
-    let [one, other] = extensions;
+/// Parses a path with one of these extensions, in a format that this build writes.
+pub(super) fn parse_path_ending_in<const N: usize>(path: &str, extensions: [&str; N]) -> Result<PathBuf, String> {
     match extension(Path::new(path)) {
         Some(found) if extensions.contains(&found) => feature::require_format(found).map(|()| PathBuf::from(path)),
-        _ => Err(format!("must end in .{one} or .{other}")),
+        _ => Err(format!("must end in {}", extensions.map(|extension| format!(".{extension}")).join(" or "))),
     }
 }
 

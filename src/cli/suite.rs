@@ -4,16 +4,13 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
-use serde::Serialize;
 
-use super::{CliError, args, interrupt, output, progress, suite_folder, suite_map, value_enums};
-use crumple_core::observer::{Listener, RunProgress};
+use super::{CliError, args, output, suite_folder, suite_map, value_enums};
 use crumple_core::quoting::ShellWord;
 use crumple_report::suite;
-use crumple_store::shard::{MissingShards, ShardId};
 use crumple_suites::{
-    ControllerResult, DISCLAIMER, FailedPoint, MergedSuite, SHIPPED_SUITES, SuiteResult, TestSuite, TestVerdict,
-    UNSHIPPED_DOCUMENTS, run, run_shard,
+    ControllerResult, DISCLAIMER, FailedPoint, SHIPPED_SUITES, SuiteResult, TestSuite, TestVerdict,
+    UNSHIPPED_DOCUMENTS, run,
 };
 use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
@@ -66,8 +63,7 @@ Examples:
   crumple suite run euro-ncap-2023 --controller idm --estimator truth --format junit
   crumple suite run euro-ncap-2023 --controller full-throttle --out failures --format html \\
     > euro-ncap.html
-  crumple suite run my-suite.toml --controller my-acc.toml --out failures --expect passed
-  crumple suite run fmvss-127 --controller policy --shard 2/4 --out tests/2")]
+  crumple suite run my-suite.toml --controller my-acc.toml --out failures --expect passed")]
 struct RunSuite {
     /// Built-in suite (see `crumple suite list`), or a file
     suite: String,
@@ -77,17 +73,9 @@ struct RunSuite {
     /// Estimator of the vehicle under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
-    /// Write the scenario of every failed point into this folder, and replace those of the previous run; for a shard,
-    /// its folder [default for a shard: crumple-suite-shard-I-of-N]
+    /// Write the scenario of every failed point into this folder, and replace those of the previous run
     #[arg(long, value_name = "FOLDER")]
     out: Option<PathBuf>,
-    /// Run only shard I of N: a range of the tests, each with a controller, N at most their number; `crumple merge`
-    /// combines shards into the result of one machine
-    #[arg(long, value_name = "I/N", conflicts_with_all = ["expect", "format"])]
-    shard: Option<ShardId>,
-    /// Resume an interrupted shard
-    #[arg(long, requires = "shard")]
-    resume: bool,
     /// Exit with 1 unless every test ends like this
     #[arg(long, value_enum)]
     expect: Option<SuiteExpectation>,
@@ -221,9 +209,6 @@ impl RunSuite {
     fn run(self, quiet: bool) -> Result<(), CliError> {
         let suite = find_suite(&self.suite)?;
         check_unique_names(&self.controllers)?;
-        if let Some(shard) = self.shard {
-            return self.run_shard(&suite, shard, quiet);
-        }
         // Fail before the simulations if the folder cannot be used.
         self.out.as_deref().map(suite_folder::open).transpose()?;
         let result = run(&suite, &self.controllers, self.estimator).map_err(CliError::input)?;
@@ -243,24 +228,6 @@ impl RunSuite {
         CliError::gate_first(self.check_expectation(&result), printed)
     }
 
-    fn run_shard(&self, suite: &TestSuite, shard: ShardId, quiet: bool) -> Result<(), CliError> {
-        let out = args::result_folder(self.out.as_deref(), "crumple-suite", Some(shard));
-        output::note_nothing_to_resume(self.resume, &out, quiet);
-        interrupt::set_resume_message("the finished tests are in", &out, quiet);
-        let bar = progress::run_bar("testing", 0, quiet);
-        let observer = Listener(|tests: &RunProgress| {
-            bar.set_length(tests.total.unwrap_or_default());
-            bar.set_position(tests.done);
-        });
-        let made = run_shard(suite, &self.controllers, self.estimator, shard, &out, self.resume, &observer);
-        bar.finish_and_clear();
-        let tests = made?;
-        output::print(&format!(
-            "{tests} tests, each with a controller\n{}: shard {shard}; `crumple merge` combines the shards\n",
-            out.display()
-        ))
-    }
-
     fn check_expectation(&self, result: &SuiteResult) -> Result<(), CliError> {
         let missed = result.tests().flat_map(|(_, test)| {
             let missed = test.controllers.iter().filter(|tested| {
@@ -277,44 +244,6 @@ impl RunSuite {
         }
     }
 }
-
-/// Merges shards, prints the result that one machine would print, and writes the failed scenarios to a folder.
-pub(super) fn merge(merged: &MergedSuite, folder: &Path, format: SuiteFormat, quiet: bool) -> Result<(), CliError> {
-    let Some(result) = merged.result() else {
-        let (missing_tests, shards) = (merged.missing_tests(), merged.missing_shards());
-        let missing = &missing_tests;
-        let mut shown: Vec<_> = missing.iter().take(MAX_SHOWN).cloned().collect();
-        if let Some(more @ 1..) = missing.len().checked_sub(MAX_SHOWN) {
-            shown.push(format!("and {more} more"));
-        }
-        let gate = format!("tests are missing{shards}; nothing is written: {}", shown.join(", "));
-        let printed = match format {
-            SuiteFormat::Json => output::print_json(&MissingTests { missing_tests, shards }),
-            SuiteFormat::Text | SuiteFormat::Junit | SuiteFormat::Html => Ok(()),
-        };
-        return CliError::gate_first(Err(CliError::Gate(gate)), printed);
-    };
-    suite_folder::write(&result, folder, quiet)?;
-    // Only a page simulates again, for its plots.
-    let drives = if let SuiteFormat::Html = format { merged.controllers(Path::new("")).collect() } else { Vec::new() };
-    let mut controllers = Vec::new();
-    for found in drives {
-        match found {
-            Ok(controller) => controllers.push(controller),
-            Err(unavailable) => output::note(&format!("note: failures are not plotted: {unavailable}"), quiet),
-        }
-    }
-    output::print(&render(&result, &controllers, Some(folder), format)?)
-}
-
-#[derive(Serialize)]
-struct MissingTests {
-    missing_tests: Vec<String>,
-    #[serde(flatten)]
-    shards: MissingShards,
-}
-
-const MAX_SHOWN: usize = 20;
 
 fn render(
     result: &SuiteResult,

@@ -14,13 +14,11 @@ use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, output, progress};
 use crumple_core::observer::Listener;
 use crumple_learn::rl::{
-    EvaluationSet, MergedTrainings, SeedResult, TrainingConfig, TrainingConfigError, TrainingError, TrainingEvent,
-    TrainingFolder, TrainingShard, TrainingSpace, UNSEEN_DRAWS, learning_curve, parallel_map, read_finished_trainings,
-    seed_folder,
+    EvaluationSet, SeedResult, TrainingConfig, TrainingConfigError, TrainingError, TrainingEvent, TrainingFolder,
+    TrainingSpace, UNSEEN_DRAWS, learning_curve, parallel_map, read_finished_trainings, seed_folder,
 };
 use crumple_store::disk;
 use crumple_store::run_folder;
-use crumple_store::shard::{MissingShards, ShardId, format_ranges};
 
 /// Train a driving policy by reinforcement learning
 #[derive(Args)]
@@ -51,7 +49,6 @@ and the training.
 Examples:
   crumple train --seed 7
   crumple train --seeds 30 --out runs/fast
-  crumple train --seeds 30 --shard 2/3 --out runs/fast-2
   crumple train --preset road --space traffic=0.5 --space high-risk=0.3 --space wet.toml=0.2
   crumple simulate paper-1 --controller runs/fast/seed-3/policy.safetensors")]
 pub(super) struct Train {
@@ -68,10 +65,6 @@ pub(super) struct Train {
     /// Train seeds 0 to N - 1: 1 to 100 000
     #[arg(long, value_name = "N", value_parser = args::whole_number(1..=100_000))]
     seeds: Option<u64>,
-    /// Train only shard I of N of these seeds, N at most their number; `crumple merge` combines shards, including
-    /// training.json
-    #[arg(long, value_name = "I/N", requires = "seeds", conflicts_with = "seed")]
-    shard: Option<ShardId>,
     /// Folder for policies, logs and checkpoints, created if missing; `training.sha256` lists the results that every
     /// command with this folder writes anew
     #[arg(long, value_name = "DIR", default_value = "crumple-training")]
@@ -103,10 +96,9 @@ struct TrainingResult<'a> {
 impl Train {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let config = self.config()?;
-        let seeds: Vec<u64> = match (self.seeds, self.shard) {
-            (Some(count), Some(shard)) => shard.range(count, "seeds").map_err(CliError::input)?.collect(),
-            (Some(count), None) => (0..count).collect(),
-            (None, _) => vec![self.seed.unwrap_or(0)],
+        let seeds: Vec<u64> = match self.seeds {
+            Some(count) => (0..count).collect(),
+            None => vec![self.seed.unwrap_or(0)],
         };
         let folder = |seed: &u64| seed_folder(&self.out, *seed);
         if let Some(taken) = seeds.iter().map(folder).find(|folder| !self.resume && folder.exists()) {
@@ -119,9 +111,6 @@ impl Train {
         let check = || results_folder(&self.out)?.check(&RESULT_FILES);
         // Another training with the same --out may be writing them.
         check().or_else(|_| run_folder::with_folder_lock(&self.out, check))?;
-        if let (Some(count), Some(shard)) = (self.seeds, self.shard) {
-            TrainingShard::new(shard, count, &config)?.write_to(&self.out)?;
-        }
         interrupt::set_resume_message("the results so far are in", &self.out, quiet);
         refuse_other_work(&self.out)?;
         // Seeds may be added to existing ones; without any, a misspelt --out is likely.
@@ -232,41 +221,6 @@ fn write_results(out: &Path, config: &TrainingConfig, quiet: bool) -> Result<(),
     let seeds = if results.len() == 1 { "1 seed".to_owned() } else { format!("{} seeds", results.len()) };
     output::note(&format!("wrote {} (and training.json) of {seeds}", picture.display()), quiet);
     Ok(())
-}
-
-#[derive(Serialize)]
-struct MergedTrainingReport<'a> {
-    seeds: &'a [SeedResult],
-    /// Number of seeds, from 0.
-    of_seeds: u64,
-    missing_seeds: &'a [u32],
-    #[serde(flatten)]
-    shards: MissingShards,
-}
-
-/// Merges the seeds of several shards and their results. Missing seeds end with exit code 1.
-pub(super) fn merge(merged: &MergedTrainings, out: &Path, format: OutputFormat, quiet: bool) -> Result<(), CliError> {
-    refuse_other_work(out)?;
-    let config = merged.config();
-    merged.write_to(out)?;
-    run_folder::with_folder_lock(out, || write_results(out, config, quiet))?;
-    let done: Vec<SeedResult> = read_finished_trainings(out, config)?.into_iter().map(|(result, _)| result).collect();
-    let is_missing = |seed: &u64| !done.iter().any(|result| result.seed == *seed);
-    let of_seeds = merged.seed_count();
-    let missing: Vec<u32> = (0..of_seeds).filter(is_missing).filter_map(|seed| seed.try_into().ok()).collect();
-    let shards = merged.missing_shards();
-    let gate = match missing.is_empty() {
-        true => check_learned(&done),
-        false => Err(CliError::Gate(format!("missing seeds of {of_seeds}: {}{shards}", format_ranges(&missing)))),
-    };
-    let printed = match format {
-        OutputFormat::Json => {
-            output::print_json(&MergedTrainingReport { seeds: &done, of_seeds, missing_seeds: &missing, shards })
-        }
-        OutputFormat::Text if done.is_empty() => Ok(()),
-        OutputFormat::Text => output::print(&format_table(&done, config.evaluation.ranking_draws)),
-    };
-    CliError::gate_first(gate, printed)
 }
 
 /// Checks that every seed has a checkpoint better than the untrained network.

@@ -14,7 +14,8 @@ use super::{CliError, args, exposure, interrupt, progress, rare, reach, value_en
 use crumple_evidence::exposure::RatePerExposure;
 use crumple_evidence::rare::{RareMethod, RarePlan, SplittingConfig};
 use crumple_evidence::{
-    CertificateReport, CountProgress, CountTally, RateConfig, RateFolderError, RatePlan, report_json, shipped_kernels,
+    CertificateReport, CountProgress, CountTally, RateConfig, RateFolderError, RatePlan, SampleSizeError, report_json,
+    required_runs, shipped_kernels,
 };
 use crumple_store::shard::ShardId;
 use crumple_world::measure::Specification;
@@ -75,6 +76,7 @@ the data, from --resamples of the episodes (docs/fitting.md).
 
 Examples:
   crumple verify rate --controller shield:policy --space paper --runs 138149 --confidence 0.999999
+  crumple verify rate --controller policy --rate-below 1e-4 --failures 3
   crumple verify rate --controller policy --runs 1000000 --shard 3/8 --out shards/3
   crumple verify rate --controller policy --space high-risk --rare")]
 struct RateCommand {
@@ -88,8 +90,14 @@ struct RateCommand {
     #[arg(long, value_name = "S", default_value = "paper", value_parser = args::parse_space)]
     space: (String, ScenarioSpace),
     /// Number of runs, fixed beforehand: 1 to 1 000 000 000
-    #[arg(long, value_name = "N", required_unless_present = "rare")]
+    #[arg(long, value_name = "N", required_unless_present_any = ["rate_below", "rare"])]
     runs: Option<u64>,
+    /// Failure rate to show, above 0 and below 1: count the fewest runs that suffice if at most --failures of them fail
+    #[arg(long, value_name = "P", conflicts_with_all = ["runs", "against"])]
+    rate_below: Option<f64>,
+    /// With --rate-below: failures among the runs that the claim tolerates, 0 to 1 000 000 [default: 0]
+    #[arg(long, value_name = "K", requires = "rate_below", value_parser = args::whole_number(0..=1_000_000))]
+    failures: Option<u64>,
     /// Confidence level of the claim: above 0.5 and below 1
     #[arg(long, value_name = "c", default_value_t = 0.999)]
     confidence: f64,
@@ -101,7 +109,7 @@ struct RateCommand {
         num_args = 0..=1,
         require_equals = true,
         default_missing_value = "splitting",
-        conflicts_with_all = ["runs", "against", "confidence"]
+        conflicts_with_all = ["runs", "rate_below", "against", "confidence"]
     )]
     rare: Option<RareMethod>,
     /// With --rare: specification, as in `crumple falsify` [default: no contact]
@@ -129,9 +137,9 @@ struct RateCommand {
     /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
-    /// Run only shard I of N: a range of the blocks of runs (runs/100, at most 1000; above 100 000 000 runs, 10 000),
-    /// or with --rare of the repetitions; `crumple merge` combines shards and certifies
-    #[arg(long, value_name = "I/N")]
+    /// Run only shard I of N: a range of the blocks of runs (runs/100, at most 1000; above 100 000 000 runs, 10 000);
+    /// `crumple merge` combines shards and certifies
+    #[arg(long, value_name = "I/N", conflicts_with = "rare")]
     shard: Option<ShardId>,
     /// Folder for registration, progress and certificate [default: crumple-rate; for a shard,
     /// crumple-rate-shard-I-of-N]
@@ -178,7 +186,16 @@ impl ShieldCommand {
 impl RateCommand {
     fn run(self, quiet: bool) -> Result<(), CliError> {
         self.check_resampling()?;
-        let Some(runs) = self.runs else { return self.estimate(quiet) };
+        let runs = match (self.runs, self.rate_below) {
+            (Some(runs), _) => runs,
+            (None, Some(rate)) => {
+                required_runs(rate, self.confidence, self.failures.unwrap_or(0)).map_err(|error| {
+                    let option = if let SampleSizeError::Confidence { .. } = error { "--" } else { "--rate-below: " };
+                    CliError::Input(format!("{option}{error}"))
+                })?
+            }
+            (None, None) => return self.estimate(quiet),
+        };
         // clap requires no option that conflicts with a given one, and `--rare` conflicts with `--runs`.
         let of_rare = [
             ("--spec", self.spec.is_some()),
@@ -273,9 +290,6 @@ impl RateCommand {
         };
         let resamples = self.resamples.unwrap_or(80);
         output::note_nothing_to_resume(self.resume, &self.out_folder(), quiet);
-        if let Some(shard) = self.shard {
-            return rare::run_shard(&plan, (shard, resamples), &self.out_folder(), self.resume, (self.format, quiet));
-        }
         rare::estimate(&plan, resamples, &self.out_folder(), self.resume, self.format, quiet)
     }
 

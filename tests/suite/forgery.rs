@@ -5,13 +5,12 @@ mod changes;
 
 use crumple_core::observer::Quiet;
 use crumple_evidence::{
-    BlockSelection, BoxSpec, CruisePlan, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, check_binding,
-    check_covers_scenario, shipped_kernels,
+    BlockSelection, BoxSpec, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, check_binding, check_covers_scenario,
+    shipped_kernels,
 };
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, ScenarioBox, avoid, certify};
 use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
 use crumple_world::control::ControllerSpec;
-use crumple_world::network::NetworkFile;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::space::built_in_space;
@@ -127,16 +126,6 @@ fn is_implied(original: &Certificate, shown: &ProvedClaim, claimed: &Certificate
                     && other.falsified_share_at_least <= *falsified_share + 1e-9
                     && other.min_gap_m_at_least <= *smallest_gap_m
             }
-            (
-                Statement::AdaptiveCruise(one),
-                Statement::AdaptiveCruise(other),
-                ProvedClaim::Cruise { margin_m, x_ego_width_m },
-            ) => {
-                // With any partition: the accepted claim was derived for the same network.
-                (&one.policy_sha256, &one.source) == (&other.policy_sha256, &other.source)
-                    && (other.cells != one.cells
-                        || other.margin_m_at_least <= *margin_m && other.x_ego_width_m_at_most >= *x_ego_width_m)
-            }
             _ => false,
         }
 }
@@ -186,13 +175,6 @@ fn reach_certificate(controller: impl Into<ControllerKind>, of_leader: &str) -> 
     }
 }
 
-fn cruise_certificate(cells: u32) -> GenuineCertificate {
-    let plan =
-        CruisePlan::new(NetworkFile::load(&controller_corpus().join("acc-5x20.onnx")).expect("there")).expect("fits");
-    let certificate = plan.prove(cells).expect("bounded").certificate;
-    GenuineCertificate { certificate, policy: Some(plan.network_bytes().to_vec()), scenario: None }
-}
-
 /// Returns at least one certificate of every kind, two of most.
 fn genuine_certificates() -> Vec<GenuineCertificate> {
     let paper = built_in_scenario("paper-1").expect("built in");
@@ -218,7 +200,6 @@ fn genuine_certificates() -> Vec<GenuineCertificate> {
     // A residual policy.
     let residual = Policy::load(&controller_corpus().join("../policy/residual.safetensors")).expect("there");
     all.push(reach_certificate(std::sync::Arc::new(residual), ""));
-    all.extend([cruise_certificate(1), cruise_certificate(2)]);
     let kernel = |(_, certificate)| GenuineCertificate { certificate, policy: None, scenario: None };
     all.extend(shipped_kernels().into_iter().take(2).map(kernel));
     all

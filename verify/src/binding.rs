@@ -35,10 +35,6 @@ pub(crate) fn check(certificate: &Certificate) -> Result<(), Rejection> {
     }
     match &certificate.statement {
         Statement::Kernel(_) => check_no_source(provenance, "must be absent: a kernel does not belong to a scenario"),
-        Statement::AdaptiveCruise(claim) => {
-            check_no_source(provenance, "must be absent: the benchmark defines its scenario")?;
-            check_policy_file_name(&claim.policy_file, &claim.policy_sha256, true)
-        }
         Statement::Reach(claim) => {
             check_source(provenance)?;
             if provenance.box_text.is_none() {

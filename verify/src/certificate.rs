@@ -9,7 +9,6 @@ use serde::{Deserialize, Serialize};
 use crate::bounded;
 use crate::canonical;
 use crate::claim::{ConstantPiece, MAX_EGOS, MAX_STEPS, Scene};
-use crate::cruise::CruiseClaim;
 use crate::kernel::KernelClaim;
 use crate::rate::{ComparisonClaim, RateClaim};
 use crate::reach::ReachClaim;
@@ -144,8 +143,6 @@ pub enum Statement {
     Comparison(ComparisonClaim),
     /// A policy avoids collisions from parts of a box.
     Reach(ReachClaim),
-    /// A network keeps its distance in a public benchmark.
-    AdaptiveCruise(CruiseClaim),
 }
 
 impl Statement {
@@ -160,7 +157,6 @@ impl Statement {
             Self::Rate(_) => "rate",
             Self::Comparison(_) => "comparison",
             Self::Reach(_) => "reach",
-            Self::AdaptiveCruise(_) => "adaptive-cruise",
         }
     }
 
@@ -171,7 +167,7 @@ impl Statement {
             Self::Avoidable(claim) => Some(&claim.scene),
             Self::Unavoidable(claim) => Some(&claim.scene),
             Self::GapBound(claim) => Some(&claim.scene),
-            Self::Kernel(_) | Self::Rate(_) | Self::Comparison(_) | Self::Reach(_) | Self::AdaptiveCruise(_) => None,
+            Self::Kernel(_) | Self::Rate(_) | Self::Comparison(_) | Self::Reach(_) => None,
         }
     }
 
@@ -186,14 +182,6 @@ impl Statement {
                 return vec![Assumption::ExactMotion, Assumption::LeaderWithinLimit, Assumption::EgoCanBrake];
             }
             Self::Rate(_) | Self::Comparison(_) => return vec![Assumption::RegisteredDraws],
-            Self::AdaptiveCruise(_) => {
-                return vec![
-                    Assumption::PolicyDrives,
-                    Assumption::TanhWithin,
-                    Assumption::ExpWithin,
-                    Assumption::NetworkAsRead,
-                ];
-            }
             Self::Reach(claim) => {
                 let about_leader = match claim.leader_brakes_at_most_mps2 {
                     Some(_) => Assumption::LeaderWithinLimit,
@@ -314,7 +302,6 @@ impl Certificate {
     pub fn policy_reference(&self) -> Option<(&str, &str)> {
         match &self.statement {
             Statement::Reach(claim) => Some((&claim.policy_file, &claim.policy_sha256)),
-            Statement::AdaptiveCruise(claim) => Some((&claim.policy_file, &claim.policy_sha256)),
             _ => None,
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! crumple simulates, searches and solves convex programs. It writes each conclusion to a file together with a proof.
 //! This crate accepts or rejects the file, without random numbers. Modules in reading order: [`interval`], [`claim`],
-//! [`motion`], [`avoidable`], [`unavoidable`], [`polynomial`], [`kernel`], [`rate`], [`reach`], [`cruise`],
+//! [`motion`], [`avoidable`], [`unavoidable`], [`polynomial`], [`kernel`], [`rate`], [`reach`],
 //! [`certificate`], [`scope`], [`work`].
 //!
 //! # What is claimed
@@ -16,7 +16,6 @@
 //! - *Gap bound*: no such choice keeps every gap larger than stated.
 //! - *Reach*: with the stated network, no initial state in the verified parts of the box leads to a collision. Instead
 //!   of following a script, the leader may brake arbitrarily within a limit.
-//! - *Adaptive cruise*: in a public benchmark the stated network keeps its distance.
 //! - *Kernel*, *rate*, *fails less often*: these concern no single scene; their modules state them.
 //!
 //! # What is assumed
@@ -60,7 +59,6 @@ mod bounded;
 mod canonical;
 pub mod certificate;
 pub mod claim;
-pub mod cruise;
 pub mod interval;
 pub mod kernel;
 pub mod motion;
@@ -76,7 +74,6 @@ pub use certificate::{
     MultiplierRows, Statement, UnavoidableClaim,
 };
 pub use claim::{ConstantPiece, Scene, SceneEgo, SceneFollower, SceneLeader};
-pub use cruise::CruiseClaim;
 pub use interval::Interval;
 pub use kernel::KernelClaim;
 pub use rate::{ComparisonClaim, RateClaim, Registration};
@@ -142,13 +139,6 @@ pub enum ProvedClaim {
         leader_brakes_at_most_mps2: Option<f64>,
         /// Base controller of a residual policy.
         residual_over: Option<reach::ResidualPolicy>,
-    },
-    /// Every initial state of the adaptive cruise control benchmark keeps its distance.
-    Cruise {
-        /// Lower bound of D_rel - 10 - 1.4 v_ego for 5 s, in metres.
-        margin_m: f64,
-        /// Width of an interval with all final x_ego, in metres.
-        x_ego_width_m: f64,
     },
 }
 
@@ -218,13 +208,6 @@ impl std::fmt::Display for ProvedClaim {
             Self::FailsLessOften { confidence } => write!(
                 formatter,
                 "comparison: the first controller fails less often, at confidence {confidence}, if its counts are right"
-            ),
-            Self::Cruise { margin_m, x_ego_width_m } => write!(
-                formatter,
-                "adaptive cruise: D_rel - 10 - 1.4 v_ego is never smaller than {} m for 5 s; all x_ego at the \
-                 end lie within {} m",
-                scope::round_down(*margin_m),
-                scope::round_up(*x_ego_width_m)
             ),
             // Shares are lower bounds: rounded down.
             Self::Reach { verified_share, falsified_share, .. } if *verified_share <= 0.0 => write!(
@@ -384,7 +367,6 @@ pub fn check_with(
         Statement::Kernel(claim) => kernel::check(claim, work),
         Statement::Rate(claim) => rate::check_rate(claim, work),
         Statement::Comparison(claim) => rate::check_comparison(claim, work),
-        Statement::AdaptiveCruise(claim) => cruise::check(claim, policy, work),
         Statement::Reach(claim) => reach::check(claim, policy, certificate.is_first_version(), work),
     }
 }

@@ -6,7 +6,6 @@ use std::fmt;
 use crate::ProvedClaim;
 use crate::certificate::{Certificate, Statement};
 use crate::claim::{ConstantPiece, Scene, SceneEgo};
-use crate::cruise::{self, CruiseClaim};
 use crate::interval::Interval;
 use crate::kernel::KernelClaim;
 use crate::rate::Registration;
@@ -45,7 +44,6 @@ impl Certificate {
             Statement::Rate(claim) => runs_scope(&claim.registration),
             Statement::Comparison(claim) => runs_scope(&claim.registration),
             Statement::Reach(claim) => reach_scope(claim),
-            Statement::AdaptiveCruise(claim) => cruise_scope(claim),
         };
         scope.about = self.describe_subject();
         scope.covers_after_horizon = matches!(self.statement, Statement::Avoidable(_));
@@ -84,11 +82,10 @@ impl Certificate {
         let (name, sha256) = (&self.provenance.scenario, &self.provenance.scenario_sha256);
         // The author of the file chose the name: it must not control a terminal.
         let name = name.escape_debug();
-        if self.is_first_version() && !matches!(self.statement, Statement::AdaptiveCruise(_)) {
+        if self.is_first_version() {
             return format!("`{name}`, as the file states; version 1 does not bind the statement to a text");
         }
         match &self.statement {
-            Statement::AdaptiveCruise(_) => "the benchmark of adaptive cruise control of ARCH-COMP AINNCS".to_owned(),
             Statement::Kernel(_) => "any two vehicles with these limits".to_owned(),
             Statement::Rate(_) | Statement::Comparison(_) => format!("space `{name}`, SHA-256 {sha256}"),
             _ if self.provenance.box_text.is_some() => format!("a box around scenario `{name}`, SHA-256 {sha256}"),
@@ -288,19 +285,4 @@ pub(crate) fn format_number(number: f64) -> String {
         true => number.to_string(),
         false => format!("{number:e}"),
     }
-}
-
-fn cruise_scope(claim: &CruiseClaim) -> Scope {
-    let [x_lead, v_lead, x_ego, v_ego] = cruise::INITIAL_SET.map(|[low, high]| format!("{low} to {high}"));
-    let (drag, lead_mps2) = (cruise::DRAG, cruise::LEAD_ACCEL_MPS2);
-    let vehicles = vec![
-        format!("lead car: at {x_lead} m, {v_lead} m/s, a = {lead_mps2} m/s²"),
-        format!(
-            "own car: at {x_ego} m, {v_ego} m/s, a from the {}, every {} s",
-            describe_network(&claim.policy_sha256, Some(&claim.source)),
-            cruise::PERIOD_S
-        ),
-    ];
-    let limits = vec![format!("x' = v, v' = γ, γ' = -2 γ + 2 a - {drag} v² for both, γ = 0 at the start")];
-    partial_scope(Some(cruise::PERIODS as f64 * cruise::PERIOD_S), vehicles, limits)
 }

@@ -108,7 +108,7 @@ pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result
         return if claimed.as_ref().is_none_or(is_of_it) { Ok(()) } else { Err(scene_mismatch()) };
     }
     match &certificate.statement {
-        Statement::Kernel(_) | Statement::AdaptiveCruise(_) => Ok(()),
+        Statement::Kernel(_) => Ok(()),
         Statement::Reach(claim) => check_box(certificate, claim, policy),
         Statement::Rate(claim) => check_registration(certificate, &claim.registration),
         Statement::Comparison(claim) => check_registration(certificate, &claim.registration),

@@ -251,8 +251,6 @@ struct ReportLine<'a> {
     gap_bound_m: Option<f64>,
     afterwards: Option<&'static str>,
     verified_share: Option<f64>,
-    margin_m: Option<f64>,
-    x_ego_width_m: Option<f64>,
     rate_at_most: Option<f64>,
     confidence: Option<f64>,
     joint_confidence: Option<f64>,
@@ -331,9 +329,6 @@ fn report_line<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>
         Ok(ProvedClaim::Unavoidable { overlap_m, .. }) => line.overlap_m = finite(overlap_m),
         Ok(ProvedClaim::GapBound { gap_m, .. }) => line.gap_bound_m = Some(gap_m),
         Ok(ProvedClaim::Rate { max_rate, .. }) => line.rate_at_most = Some(max_rate),
-        Ok(ProvedClaim::Cruise { margin_m, x_ego_width_m }) => {
-            (line.margin_m, line.x_ego_width_m) = (finite(margin_m), finite(x_ego_width_m));
-        }
         Ok(ProvedClaim::Reach { min_gap_m, verified_share, .. }) => {
             (line.smallest_gap_m, line.verified_share) = (finite(min_gap_m), Some(verified_share));
         }

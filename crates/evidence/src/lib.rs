@@ -8,7 +8,6 @@ mod binding;
 mod binomial;
 mod block;
 mod certificate_report;
-mod cruise;
 pub mod exposure;
 pub mod fit;
 #[cfg(test)]
@@ -31,7 +30,6 @@ mod script;
 pub use binding::{BindingError, ScenarioMismatch, check_binding, check_covers_scenario, count_omitted_vehicles};
 pub use block::CountedBlock;
 pub use certificate_report::{CertificateReport, CountsStatus, report_json, report_text};
-pub use cruise::{CruiseError, CruisePlan, CruiseProof, CruiseSamples};
 pub use interval::RateInterval;
 pub use kernel::{kernel_certificate, shipped_kernels};
 pub use paired::DiscordantPairs;

@@ -1,11 +1,9 @@
-//! Planning of a count: number, speed and storage of runs.
-
-use std::time::{Duration, Instant};
+//! Number of runs that a rate needs.
 
 use crumple_verify::rate::MAX_RUNS;
 
+use super::binomial;
 use super::record::upper_bound;
-use super::{CountTally, CountedBlock, RateError, RatePlan, binomial};
 
 /// Reason why no number of runs suffices.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
@@ -71,51 +69,6 @@ pub fn required_runs(rate: f64, confidence: f64, failures: u64) -> Result<u64, S
     }
     Ok(high)
 }
-
-impl RatePlan {
-    /// Measures the runs per second of one core for about `during`. The seed must differ from that of the count, whose
-    /// results must stay unknown before its registration.
-    ///
-    /// # Errors
-    /// [`RateError`] if a run fails.
-    pub fn runs_per_second(&self, during: Duration) -> Result<f64, RateError> {
-        let measured = || {
-            let (begun, mut runs) = (Instant::now(), 0);
-            for block in 0..self.block_count() {
-                self.recount_block(block)?;
-                let made = self.run_range(block);
-                runs += made.end - made.start;
-                if begun.elapsed() >= during {
-                    break;
-                }
-            }
-            Ok(runs as f64 / begun.elapsed().as_secs_f64().max(1e-9))
-        };
-        crumple_store::jobs::run_on_one_core(measured)
-    }
-
-    /// Estimates the size of the files of all shards, in bytes.
-    #[must_use]
-    pub fn estimated_bytes(&self, shards: u32) -> u64 {
-        let length = |blocks: Vec<CountedBlock>| {
-            serde_json::to_string_pretty(&CountTally { blocks, ..self.empty_tally() })
-                .map_or(0, |text| text.len() as u64)
-        };
-        let record = serde_json::to_string_pretty(self.record()).map_or(0, |text| text.len() as u64);
-        let block =
-            CountedBlock { failures: 10, sha256: self.empty_tally().registration_sha256, ..CountedBlock::default() };
-        let a_block = length(vec![block]).saturating_sub(length(Vec::new()));
-        u64::from(shards) * (record + length(Vec::new()) + MANIFEST_BYTES) + self.block_count() * a_block
-    }
-
-    /// Returns the maximum number of shards.
-    #[must_use]
-    pub fn max_shards(&self) -> u32 {
-        u32::try_from(self.block_count()).unwrap_or(u32::MAX).min(crumple_store::shard::MAX_SHARDS)
-    }
-}
-
-const MANIFEST_BYTES: u64 = 650;
 
 #[cfg(test)]
 mod tests {

@@ -8,7 +8,7 @@ use crumple_verify::{Certificate, Registration};
 use rayon::prelude::*;
 
 use super::block::{CountedBlock, RunFingerprint};
-use super::exposure::{FailureProbability, RatePerExposure, ResampleShard, count_on_resamples};
+use super::exposure::{FailureProbability, RatePerExposure, count_on_resamples};
 use super::record::{CountRecord, CountTally, range_len};
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Observer, ProgressCounter, Quiet, RunProgress, Stopped};
@@ -28,6 +28,9 @@ const MAX_BLOCKS: u64 = 1000;
 const LARGE_COUNT_RUNS: u64 = 100_000_000;
 /// Maximum number of blocks of a larger count: the limit of certificates.
 const MAX_LARGE_COUNT_BLOCKS: u64 = crumple_verify::rate::MAX_BLOCKS;
+
+/// Name of the parts of a count in errors.
+pub(super) const BLOCKS_NAME: &str = "blocks of runs";
 
 /// Progress of a count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -278,7 +281,7 @@ impl RatePlan {
     /// # Errors
     /// [`TooManyShards`] if there are fewer blocks than shards.
     pub fn shard_blocks(&self, shard: ShardId) -> Result<Range<u64>, TooManyShards> {
-        shard.range(self.block_count(), "blocks of runs")
+        shard.range(self.block_count(), BLOCKS_NAME)
     }
 
     pub(super) fn progress(&self, tally: &CountTally) -> CountProgress {
@@ -353,21 +356,6 @@ impl RatePlan {
         let resamples = count_on_resamples(&self.space, self.seed, resampling.0, resampling.1, &mut failures)?;
         let known = FailureProbability::Counted { failures: tally.failures, unknown: 0, runs: tally.runs };
         Ok(RatePerExposure::new(&self.space, known, resamples.as_ref()))
-    }
-
-    /// Counts the failures in the resamples `own`, numbered among those to which a space could be fitted.
-    pub(super) fn count_resamples(
-        &self,
-        own: Range<u64>,
-        counter: &ProgressCounter<'_>,
-    ) -> Result<Vec<u64>, RateError> {
-        let Some(resampling) = self.resampling().filter(|_| !own.is_empty()) else { return Ok(Vec::new()) };
-        let mut part = ResampleShard::new(own);
-        let mut failures = |space: &ScenarioSpace, seed: u64, runs: u64| {
-            part.next(0, || self.count_failures(space, (seed, runs), counter))
-        };
-        let _ = count_on_resamples(&self.space, self.seed, resampling.0, resampling.1, &mut failures)?;
-        Ok(part.into_results())
     }
 
     fn count_failures(

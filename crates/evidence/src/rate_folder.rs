@@ -10,7 +10,7 @@ use serde::Serialize;
 
 use super::record::{CountRecord, CountTally, range_len};
 use super::{CountProgress, RateError, RatePlan};
-use crumple_core::observer::{Observer, ProgressCounter};
+use crumple_core::observer::Observer;
 use crumple_store::difference;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::{RunFolder, RunFolderError, RunFolderOptions};
@@ -157,21 +157,6 @@ impl<'a> BlockCounter<'a> {
 
     pub(super) fn run_count(&self) -> u64 {
         range_len(&self.plan.record().run_range(self.blocks.clone()))
-    }
-
-    pub(super) fn resample_run_count(&self, resamples: &Range<u64>) -> u64 {
-        let (_, runs_each) = self.plan.resampling().unwrap_or_default();
-        range_len(resamples) * u64::from(runs_each)
-    }
-
-    pub(super) fn resample(
-        &mut self,
-        work: &RunFolder,
-        own: Range<u64>,
-        counter: &ProgressCounter<'_>,
-    ) -> Result<(), RateFolderError> {
-        self.tally.resample_failures = self.plan.count_resamples(own, counter)?;
-        Ok(work.write(PROGRESS_FILE, to_json(&work.path(PROGRESS_FILE), &self.tally)?)?)
     }
 
     pub(super) fn count(

@@ -5,78 +5,57 @@ use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
-use super::exposure::resample_range;
-use super::rate_folder::{BlockCounter, PROGRESS_FILE, RateFolderError};
+use super::rate_folder::{BlockCounter, PROGRESS_FILE, RateFolderError, to_json};
 use super::record::{CountRecord, CountTally, range_len};
 use super::{CountProgress, RatePlan};
-use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
-use crumple_store::run_folder::RunFolder;
-use crumple_store::shard::{Mergeable, ShardId, Sharded, open_shard};
+use crumple_core::observer::{Observer, RunProgress};
+use crumple_store::difference;
+use crumple_store::run_folder::{CompletedRun, RunFolder, RunFolderError, RunFolderOptions};
+use crumple_store::shard::ShardId;
 
 /// Kind of the run folder in its `work.json`.
 pub const COUNT_SHARD_KIND: &str = "shard of a count";
+
+pub(super) const SHARD_FILE: &str = "shard.json";
+const SHARD_VERSION: u32 = 1;
 
 /// A shard of a count that is registered in a folder.
 pub struct RateShard<'a> {
     pub(super) run_folder: RunFolder,
     block_counter: BlockCounter<'a>,
-    resample_range: Range<u64>,
 }
 
-/// Configuration of a count that is divided into shards.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct ShardedCount {
+/// The file `shard.json`.
+#[derive(Serialize, Deserialize)]
+pub(super) struct ShardFile {
+    version: u32,
+    pub(super) shard: ShardId,
     pub(super) count: CountRecord,
-    /// Number of resamples of the episodes, and of runs in each, if failures are stated per hour.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub(super) resampling: Option<(u32, u32)>,
 }
 
-impl Sharded for ShardedCount {
-    const KIND: &'static str = COUNT_SHARD_KIND;
-    const VERSION: u32 = 1;
-    const RESULTS_FILE: &'static str = PROGRESS_FILE;
-    const PARTS_NAME: &'static str = "blocks of runs";
-    const IS_PRETTY: bool = true;
-
-    fn part_count(&self) -> u64 {
-        self.count.block_count()
-    }
-
-    fn differing_field(&self, other: &Self) -> Option<String> {
-        let (own, foreign) = (&self.count.registration, &other.count.registration);
-        let keys = own.configuration.keys().chain(foreign.configuration.keys());
-        let differs = |key: &&String| own.configuration.get(*key) != foreign.configuration.get(*key);
-        let fields = [
-            ("runs", own.runs != foreign.runs),
-            ("confidence", own.confidence != foreign.confidence),
-            ("block_runs", own.block_runs != foreign.block_runs),
-            ("resampling", self.resampling != other.resampling),
-        ];
-        let key = keys.into_iter().find(differs).map(|key| format!("configuration.{key}"));
-        key.or_else(|| fields.iter().find(|(_, differs)| *differs).map(|(name, _)| (*name).to_owned()))
-    }
-
-    fn problem(&self) -> Option<String> {
-        self.count.problem().map(|problem| format!("count.{problem}"))
-    }
+/// Version in `shard.json`. The rest is read only if the version is known.
+#[derive(Deserialize)]
+struct ShardHeader {
+    version: u32,
 }
 
-impl Mergeable for ShardedCount {
-    type File = CountTally;
-    type Results = CountTally;
-
-    fn check(&self, tally: CountTally, shard: ShardId, blocks: &Range<u64>) -> Result<CountTally, String> {
-        let (resamples, runs_each) = self.resampling.unwrap_or_default();
-        let most = range_len(&resample_range(resamples, blocks, self.part_count()));
-        let may_be_resampled = tally.resample_failures.len() as u64 <= most
-            && tally.resample_failures.iter().all(|failures| *failures <= u64::from(runs_each));
-        match tally.blocks.len() as u64 == range_len(blocks)
-            && self.count.is_consistent(blocks, &tally)
-            && may_be_resampled
-        {
-            true => Ok(tally),
-            false => Err(format!("inconsistent with shard {shard} of that count")),
+impl ShardFile {
+    /// Reads `shard.json` of a completed shard.
+    ///
+    /// # Errors
+    /// [`RunFolderError`] if the file is not as it was written, of another version, or invalid.
+    pub(super) fn read(found: &CompletedRun) -> Result<Self, RunFolderError> {
+        let text = found.read_configuration(SHARD_FILE)?;
+        let unreadable = |error| found.unreadable_error(SHARD_FILE, &error);
+        let ShardHeader { version } = serde_json::from_str(&text).map_err(unreadable)?;
+        if version != SHARD_VERSION {
+            let problem = format!("version: {version}, and this release reads {SHARD_VERSION}");
+            return Err(found.damaged_error(SHARD_FILE, problem));
+        }
+        let file: Self = serde_json::from_str(&text).map_err(unreadable)?;
+        match file.count.problem() {
+            Some(problem) => Err(found.damaged_error(SHARD_FILE, format!("count.{problem}"))),
+            None => Ok(file),
         }
     }
 }
@@ -93,19 +72,29 @@ impl RatePlan {
         resume: bool,
     ) -> Result<RateShard<'_>, RateFolderError> {
         let blocks = self.shard_blocks(shard)?;
-        let resampling = self.resampling();
-        let own_resamples =
-            resample_range(resampling.map_or(0, |(resamples, _)| resamples), &blocks, self.block_count());
-        let sharded = ShardedCount { count: self.record().clone(), resampling };
-        let work = open_shard(&sharded, shard, folder, resume)?;
+        let file = ShardFile { version: SHARD_VERSION, shard, count: self.record().clone() };
+        let text = to_json(&folder.join(SHARD_FILE), &file)?;
+        let asked = RunFolderOptions {
+            kind: COUNT_SHARD_KIND,
+            configuration: &text,
+            configuration_file: SHARD_FILE,
+            resume,
+            outputs: &[SHARD_FILE, PROGRESS_FILE],
+        };
+        let work = RunFolder::open(folder, asked).map_err(|error| match error {
+            RunFolderError::OtherConfiguration { path, kind, found } => {
+                RunFolderError::ConfigurationDiffers(difference::describe_json(&path, &kind, &found, &text))
+            }
+            other => other,
+        })?;
+        work.write(SHARD_FILE, text)?;
         let counting = BlockCounter::load(self, blocks, &work)?;
-        Ok(RateShard { run_folder: work, block_counter: counting, resample_range: own_resamples })
+        Ok(RateShard { run_folder: work, block_counter: counting })
     }
 }
 
 impl RateShard<'_> {
-    /// Counts the remaining runs, including those of its resamples. If `observer` stops the shard, the folder keeps the
-    /// tally.
+    /// Counts the remaining runs. If `observer` stops the shard, the folder keeps the tally.
     ///
     /// # Errors
     /// [`RateFolderError`] if a run fails, a file cannot be written, or `observer` stops the shard.
@@ -113,16 +102,9 @@ impl RateShard<'_> {
         if self.run_folder.is_complete() {
             return Ok(());
         }
-        let (counted, total) = (self.block_counter.run_count(), Some(self.run_count()));
+        let total = Some(self.run_count());
         let counting = |progress: &CountProgress| observer.observe(&RunProgress { done: progress.runs, total });
         self.block_counter.count(&self.run_folder, &counting)?;
-        let resampling =
-            |progress: &RunProgress| observer.observe(&RunProgress { done: counted + progress.done, total });
-        self.block_counter.resample(
-            &self.run_folder,
-            self.resample_range.clone(),
-            &ProgressCounter::new(&resampling, None),
-        )?;
         Ok(self.run_folder.finish()?)
     }
 
@@ -132,9 +114,30 @@ impl RateShard<'_> {
         &self.block_counter.tally
     }
 
-    /// Returns the number of runs, including those of resamples.
+    /// Returns the number of runs.
     #[must_use]
     pub fn run_count(&self) -> u64 {
-        self.block_counter.run_count() + self.block_counter.resample_run_count(&self.resample_range)
+        self.block_counter.run_count()
+    }
+}
+
+impl CountRecord {
+    /// Returns the first field in which another count differs.
+    pub(super) fn differing_field(&self, other: &Self) -> Option<String> {
+        let (own, foreign) = (&self.registration, &other.registration);
+        let keys = own.configuration.keys().chain(foreign.configuration.keys());
+        let differs = |key: &&String| own.configuration.get(*key) != foreign.configuration.get(*key);
+        let fields = [
+            ("runs", own.runs != foreign.runs),
+            ("confidence", own.confidence != foreign.confidence),
+            ("block_runs", own.block_runs != foreign.block_runs),
+        ];
+        let key = keys.into_iter().find(differs).map(|key| format!("configuration.{key}"));
+        key.or_else(|| fields.iter().find(|(_, differs)| *differs).map(|(name, _)| (*name).to_owned()))
+    }
+
+    /// Returns true if a shard with these blocks can have this tally.
+    pub(super) fn is_shard_tally(&self, blocks: &Range<u64>, tally: &CountTally) -> bool {
+        tally.blocks.len() as u64 == range_len(blocks) && self.is_consistent(blocks, tally)
     }
 }

@@ -35,10 +35,6 @@ pub struct CountTally {
     pub only_second_failed: u64,
     /// Completed blocks, in order.
     pub blocks: Vec<CountedBlock>,
-    /// Failures in each resample of a shard, if the space was fitted to episodes.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    #[serde(rename = "resampled")]
-    pub resample_failures: Vec<u64>,
 }
 
 impl CountTally {

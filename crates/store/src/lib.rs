@@ -7,11 +7,9 @@
 //! | [`program`] | the identity of the running program, which unfinished runs record |
 //! | [`run_folder`] | run folders with a manifest: an error names a file that was changed after it was written |
 //! | [`shard`] | one of N parts of a run, for several machines |
-//! | [`jobs`] | job files for HyperQueue, Ray and Slurm, which run shards on several machines |
 
 pub mod difference;
 pub mod disk;
-pub mod jobs;
 pub mod program;
 pub mod run_folder;
 pub mod shard;

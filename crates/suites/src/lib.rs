@@ -12,10 +12,8 @@ mod margin;
 mod parameter;
 mod prevention;
 mod result;
-mod rows;
 mod run;
 mod scenario;
-mod shard;
 mod situation;
 mod spec;
 mod worst_in_tolerance;
@@ -29,7 +27,6 @@ pub use parameter::{ImpactLimit, Origin, ParameterKind, ParameterUnit, TestParam
 pub use prevention::{Prevention, ReferenceRun};
 pub use result::{ClauseResult, ControllerResult, DISCLAIMER, FailedPoint, SuiteResult, TestResult, TestVerdict};
 pub use run::{SuiteRunError, run};
-pub use shard::{MergedSuite, SUITE_SHARD_KIND, SuiteShardError, UnavailableController, run_shard};
 pub use situation::{Boundary, CrashMapAxis, CrashMapSituation};
 pub use spec::{ClauseSpec, LeadManeuver, MarginSweep, SuiteSpec, TestSpec};
 pub use worst_in_tolerance::WorstInTolerance;

@@ -1,7 +1,6 @@
 //! Simulation of every point of every grid of a suite with every controller.
 
 use std::collections::BTreeMap;
-use std::ops::Range;
 
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{InvalidField, Scenario};
@@ -75,48 +74,21 @@ pub fn run(
     controllers: &[NamedController],
     estimator: EstimatorKind,
 ) -> Result<SuiteResult, SuiteRunError> {
-    let mut tested = Vec::new();
-    run_pairs(suite, controllers, estimator, 0..pair_count(suite.spec(), controllers.len()), &mut |one| {
-        tested.push(one);
-        Ok::<(), SuiteRunError>(())
-    })?;
-    Ok(assemble(suite.spec(), estimator, controllers.len(), tested))
-}
-
-/// Returns the number of pairs of a test and a controller, in the order of the suite.
-pub(super) fn pair_count(suite: &SuiteSpec, controllers: usize) -> u64 {
-    suite.clauses.iter().map(|clause| clause.tests.len() as u64).sum::<u64>() * controllers as u64
-}
-
-/// Runs some pairs, in order, and passes on each result. Omits results of a controller that was refused during the run.
-pub(super) fn run_pairs<E: From<SuiteRunError>>(
-    suite: &TestSuite,
-    controllers: &[NamedController],
-    estimator: EstimatorKind,
-    wanted: Range<u64>,
-    found: &mut dyn FnMut(ControllerResult) -> Result<(), E>,
-) -> Result<(), E> {
     let spec = suite.spec();
-    let tests = spec.clauses.iter().flat_map(|clause| clause.tests.iter().map(move |test| (clause, test)));
-    let (mut known, mut piece) = (PreventabilityCache::new(), 0);
-    for (clause, test) in tests {
-        let own = piece..piece + controllers.len() as u64;
-        piece = own.end;
-        if own.end <= wanted.start || own.start >= wanted.end {
-            continue;
-        }
-        let course = TestGrid::new(&spec.name, test, format!("{}: {}", clause.clause, clause.summary))
-            .map_err(SuiteRunError::Scenario)?;
-        for (_, controller) in own.zip(controllers).filter(|(piece, _)| wanted.contains(piece)) {
-            let tested = course.run(controller, estimator, &mut known);
-            controller.ensure_trusted().map_err(SuiteRunError::Refused)?;
-            found(tested)?;
+    let (mut tested, mut known) = (Vec::new(), PreventabilityCache::new());
+    for clause in &spec.clauses {
+        for test in &clause.tests {
+            let grid = TestGrid::new(&spec.name, test, format!("{}: {}", clause.clause, clause.summary))?;
+            for controller in controllers {
+                tested.push(grid.run(controller, estimator, &mut known));
+                controller.ensure_trusted()?;
+            }
         }
     }
-    Ok(())
+    Ok(assemble(spec, estimator, controllers.len(), tested))
 }
 
-pub(super) fn assemble(
+fn assemble(
     spec: &SuiteSpec,
     estimator: EstimatorKind,
     controllers: usize,

@@ -228,11 +228,8 @@ fn unnecessary_braking_is_reported_and_decides_usefulness() {
 fn traces_have_one_row_a_sample_and_vehicle() {
     let folder = temp_folder();
     for (after_contact, samples) in [("stop", None), ("continue", Some(1501))] {
-        let mut reports = Vec::new();
-        for file in TRACES {
-            let arguments = format!("simulate paper-1 --after-contact {after_contact} --trace {file} --format json");
-            reports = json_objects(&run_ok(folder.path(), &arguments));
-        }
+        let arguments = format!("simulate paper-1 --after-contact {after_contact} --trace trace.csv --format json");
+        let reports = json_objects(&run_ok(folder.path(), &arguments));
         let contact_s = reports[0]["outcome"]["time_s"].as_f64().unwrap();
         let samples = samples.unwrap_or((contact_s / 0.01).ceil() as usize + 1);
         let mut csv = csv::Reader::from_path(folder.path().join("trace.csv")).unwrap();
@@ -244,16 +241,9 @@ fn traces_have_one_row_a_sample_and_vehicle() {
         assert_eq!(rows.len(), samples * 3);
         let end_s = if after_contact == "stop" { contact_s } else { 15.0 };
         assert_eq!(rows.last().unwrap()[0].parse::<f64>().unwrap(), end_s);
-        // `crumple-report` compares the rows of both formats.
-        if TRACES.len() > 1 {
-            let parquet = fs::read(folder.path().join("trace.parquet")).unwrap();
-            assert!(parquet.starts_with(b"PAR1") && parquet.ends_with(b"PAR1"));
-        }
     }
-    assert_eq!(file_names_in(folder.path()), TRACES, "nothing else is left behind");
+    assert_eq!(file_names_in(folder.path()), ["trace.csv"], "nothing else is left behind");
 }
-
-const TRACES: &[&str] = if cfg!(feature = "parquet") { &["trace.csv", "trace.parquet"] } else { &["trace.csv"] };
 
 #[test]
 fn plots_match_their_file_names() {
@@ -274,7 +264,6 @@ fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
     for (feature, enabled, arguments) in [
         ("png", cfg!(feature = "png"), "simulate paper-1 --plot p.png"),
         ("png", cfg!(feature = "png"), "suite map cut-in-gap --cells 2x2 --out m.png"),
-        ("parquet", cfg!(feature = "parquet"), "simulate paper-1 --trace t.parquet"),
     ] {
         let listed = doctor[0]["features"].as_array().unwrap().iter().find(|listed| listed["name"] == feature).unwrap();
         assert_eq!(listed["enabled"], enabled);
@@ -286,7 +275,7 @@ fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
             false => assert_refused(&output, &command),
         }
     }
-    assert_eq!(file_names_in(folder.path()).is_empty(), cfg!(not(any(feature = "png", feature = "parquet"))));
+    assert_eq!(file_names_in(folder.path()).is_empty(), cfg!(not(feature = "png")));
 }
 
 #[test]
@@ -384,22 +373,4 @@ pub(crate) fn assert_survives_kills(
     assert_eq!((exit_code(&ended), stdout(&ended)), (exit_code(&through), stdout(&through)), "{}", stderr(&ended));
     falsify::assert_same_folders(&folder.join("through"), &folder.join("killed"));
     through
-}
-
-/// Writes lengths and hashes of a folder's files into its manifest, as an attacker would; also that of the
-/// configuration, which is the hash of a file.
-pub(crate) fn rehash_manifest(folder: &Path) {
-    let path = folder.join("work.json");
-    let (mut text, manifest) = (fs::read_to_string(&path).unwrap(), read_json(&path));
-    let entry = |bytes: u64, digest: &str| format!("\"bytes\": {bytes},\n        \"sha256\": \"{digest}\"");
-    for (name, known) in manifest["files"].as_object().unwrap() {
-        let whole = (known["whole"]["bytes"].as_u64(), known["whole"]["sha256"].as_str());
-        if let ((Some(length), Some(digest)), Ok(bytes)) = (whole, fs::read(folder.join(name))) {
-            let now = sha256(&bytes);
-            text = text.replace(&entry(length, digest), &entry(bytes.len() as u64, &now)).replace(digest, &now);
-        }
-    }
-    let own = manifest["sha256"].as_str().unwrap();
-    let bare = text.replace(own, "");
-    fs::write(&path, text.replace(own, &sha256(bare))).unwrap();
 }

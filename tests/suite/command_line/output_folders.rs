@@ -15,14 +15,11 @@ const ASSESSMENT: &str = "version = 1\ncontrollers = [\"idm\"]\npaper = false\nd
 fn a_folder_of_results_keeps_every_file_that_crumple_did_not_write() {
     let folder = temp_folder();
     fs::write(folder.path().join("a.toml"), ASSESSMENT).unwrap();
-    let shards = format!("suite run '{SUITE}' --controller=full-throttle --shard=1/1 --out=shard");
-    run_ok(folder.path(), &shards);
     let other = "crumple did not write it";
     let suite = format!("suite run '{SUITE}' --controller=full-throttle");
     let import = format!("import '{RECORDING}'");
     let commands = [
         (suite.as_str(), other),
-        ("merge shard", other),
         ("export paper-1 --to=openscenario", other),
         ("man", other),
         ("verify shield", other),
@@ -83,31 +80,29 @@ fn an_interrupted_change_is_known_to_the_next_run() {
 
 /// Unfinished files of a killed process are unlocked; those of a living process are locked.
 #[test]
-fn merge_removes_files_of_killed_processes_only() {
+fn files_of_killed_processes_are_removed_and_no_others() {
     let folder = temp_folder();
     let at = |name: &str| folder.path().join(name);
     fs::write(at("a.toml"), ASSESSMENT).unwrap();
     for (kind, arguments) in [
-        ("suite", format!("suite run '{SUITE}' --controller=full-throttle --shard=1/1 --out=suite")),
-        ("assessment", "assess a.toml --shard=1/1 --out=assessment".to_owned()),
+        ("suite", format!("suite run '{SUITE}' --controller=full-throttle")),
+        ("assessment", "assess a.toml".to_owned()),
     ] {
-        run_ok(folder.path(), &arguments);
-        let out = format!("merged-{kind}");
-        let results = if kind == "suite" { at(&out) } else { at(&out).join("evidence") };
+        let results = if kind == "suite" { at(kind) } else { at(kind).join("evidence") };
         fs::create_dir_all(&results).unwrap();
-        let merge = || run_crumple(folder.path(), &format!("merge {kind} --out {out}"));
+        let write = || run_crumple(folder.path(), &format!("{arguments} --out {kind}"));
         for left in [".crumple-unfinished-file-aB3dE6", ".crumple-unfinished-aB3dE6"] {
             fs::write(results.join(left), "half").unwrap();
         }
         let mut writing = StagedFiles::default();
         writing.stage(&results.join("own.json"), "whole").unwrap();
-        let merged = merge();
-        assert_eq!(exit_code(&merged), 0, "{}", stderr(&merged));
+        let written = write();
+        assert_eq!(exit_code(&written), 0, "{}", stderr(&written));
         let unfinished = || file_names_in(&results).iter().filter(|name| name.contains("unfinished")).count();
         assert_eq!(unfinished(), 1, "{kind}: {:?}", file_names_in(&results));
         writing.commit().unwrap();
         assert_eq!(fs::read_to_string(results.join("own.json")).unwrap(), "whole");
-        assert_eq!((exit_code(&merge()), unfinished()), (0, 0));
+        assert_eq!((exit_code(&write()), unfinished()), (0, 0));
     }
 }
 

@@ -43,7 +43,7 @@ fn doctor_names_missing_programs() {
     assert!(report["fused_multiply_add"].is_boolean());
     assert!(report["register_bits"].as_u64().unwrap() >= 64 && report["threads"].as_u64().unwrap() >= 1);
     let text = run_crumple(folder.path(), "doctor");
-    assert!(stdout(&text).contains("hyperqueue") && stdout(&text).starts_with("crumple 0."), "{}", stdout(&text));
+    assert!(stdout(&text).contains("cargo-fuzz") && stdout(&text).starts_with("crumple 0."), "{}", stdout(&text));
 }
 
 /// The printed file can replace the name.

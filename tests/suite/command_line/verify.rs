@@ -248,6 +248,12 @@ fn verification_results_are_machine_readable() {
     assert!((one["rate_at_most"].as_f64().unwrap() - bound).abs() < 1e-9, "{one}");
     let checked = &message(&format!("check {} --format json", one["certificate"].as_str().unwrap()))[0];
     assert_eq!(checked["rate_at_most"], one["rate_at_most"]);
+    let fewest = "verify rate --controller idm --estimator truth --rate-below 0.01 --failures 1 --confidence 0.9";
+    let fewest = &message(&format!("{fewest} --out fewest --format json"))[0];
+    // With no failure, 388 runs show 1 - 0.1^(1/388); with one they would show 0.01.
+    let bound = 1.0 - 0.1_f64.powf(1.0 / 388.0);
+    assert_eq!((fewest["runs"].as_u64(), fewest["failures"].as_u64()), (Some(388), Some(0)), "{fewest}");
+    assert!((fewest["rate_at_most"].as_f64().unwrap() - bound).abs() < 1e-9, "{fewest}");
     let shard = &message(&format!("{rate} --out part --confidence 0.99 --shard 1/3"))[0];
     assert_eq!((shard["runs"].as_u64(), shard["shard"].as_str()), (Some(100), Some("1/3")));
     assert_eq!((&shard["certificate"], &shard["registration_sha256"]), (&Value::Null, &one["registration_sha256"]));

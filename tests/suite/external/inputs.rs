@@ -1,4 +1,4 @@
-//! Files that name a program: scenarios, spaces, a campaign, a certificate, and shards. The program leaves a marker
+//! Files that name a program: scenarios, spaces, a campaign, a certificate, and a shard. The program leaves a marker
 //! when it starts.
 
 use std::fs;
@@ -8,7 +8,7 @@ use std::path::Path;
 use crumple_world::scenario::{built_in_scenario, file};
 use tempfile::TempDir;
 
-use crate::command_line::{exit_code, rehash_manifest, run_crumple, temp_folder};
+use crate::command_line::{exit_code, run_crumple, temp_folder};
 use crate::fmus::{library_member, zip_archive};
 use crate::suite_pages::standing_suite;
 use crate::tiny::replace_passages;
@@ -132,31 +132,15 @@ impl InputFolder {
         self.write("preset.toml", format!("{preset}\n[[spaces]]\nspace = \"space.toml\"\nweight = 1.0\n"));
     }
 
-    /// Makes a campaign, a certificate and shards, with permission to start the program.
+    /// Makes a campaign, a certificate and a shard, with permission to start the program.
     fn make_run_folders(&self) {
         let search = "falsify --controller idm --space space.toml --budget 2 --allow-external";
         let count = "verify rate --controller idm --space space.toml --runs 2 --allow-external --confidence 0.6";
-        let suite = "suite run suite.toml --controller evil.toml --shard 1/1";
-        for (command, more) in [
-            (search, "--out campaign"),
-            (search, "--shard 1/1 --out search-shard"),
-            (count, "--out rate"),
-            (count, "--shard 1/1 --out rate-shard"),
-            (suite, "--out suite-shard"),
-        ] {
+        for (command, more) in
+            [(search, "--out campaign"), (count, "--out rate"), (count, "--shard 1/1 --out rate-shard")]
+        {
             let message = self.run(&format!("{command} {more}"));
             assert_eq!(message.code, 0, "{command:?}: {}", message.stderr);
         }
-        let (from, to) = (self.folder().join("suite-shard"), self.folder().join("exec-shard"));
-        fs::create_dir(&to).unwrap();
-        for entry in fs::read_dir(from).unwrap() {
-            let entry = entry.unwrap();
-            fs::copy(entry.path(), to.join(entry.file_name())).unwrap();
-        }
-        for name in ["shard.json", "results.json"] {
-            let text = fs::read_to_string(to.join(name)).unwrap();
-            fs::write(to.join(name), text.replace("evil.toml", EXEC_CONTROLLER)).unwrap();
-        }
-        rehash_manifest(&to);
     }
 }

@@ -8,7 +8,6 @@ use std::os::unix::fs::PermissionsExt;
 use std::path::Path;
 
 use crate::command_line::{exit_code, listed_subcommands, run_crumple, stderr, temp_folder};
-use crate::tiny::assert_contains;
 use inputs::{EXEC_CONTROLLER, InputFolder, MARKER_FILE};
 
 const OPTION: &str = "--allow-external";
@@ -56,9 +55,6 @@ const CASES: &[(&str, &str, StartExpectation)] = &[
     ("check", "rate/certificate.json --rerun", RefusedOrStarts("base.vehicles[2].driver.file.path: ")),
     ("check", "rate/certificate.json --scenario driven.toml", RefusedOrStarts("driven.toml:")),
     ("check", "rate/certificate.json --policy evil.toml", Refused("base.vehicles[2].driver.file.path: ")),
-    ("benchmark chasing-cars", "--method uniform --budget 1 --seeds 1", StartsNothing),
-    ("benchmark acc", "--network evil.toml", StartsNothing),
-    ("benchmark acc", "--network evil.fmu", StartsNothing),
     ("verify shield", "--help", StartsNothing),
     ("verify rate", "--controller idm --space space.toml --runs 2 --out o", RefusedOrStarts("space.toml:")),
     ("verify reach", "--box driven.toml", StartsNothing),
@@ -67,11 +63,8 @@ const CASES: &[(&str, &str, StartExpectation)] = &[
     ("suite run", "driven.toml --controller idm", StartsNothing),
     ("suite table", "--help", StartsNothing),
     ("suite map", "car-following --cells 2x2", StartsNothing),
-    ("plan", "--controller idm --space space.toml --runs 9 --out o", Refused("space.toml:")),
-    ("merge", "search-shard --out o", Refused("base.vehicles[2].driver.file.path: ")),
     ("merge", "rate-shard --out o", StartsNothing),
-    ("merge", "exec-shard --out o --format json", StartsNothing),
-    ("fsck", "campaign rate exec-shard", StartsNothing),
+    ("fsck", "campaign rate rate-shard", StartsNothing),
     ("list", "", StartsNothing),
     ("show", "driven.toml", StartsNothing),
     ("describe", "evil.toml", StartsNothing),
@@ -146,36 +139,6 @@ fn named_controllers_start() {
         let text = inputs.run(words);
         assert!(inputs.has_started() && text.code < 2, "{words}: {}", text.stderr);
     }
-}
-
-#[test]
-fn a_page_uses_the_recorded_controller_or_reports_its_absence() {
-    let inputs = InputFolder::new();
-    let page = |shard: &str, more: &str| inputs.run(&format!("merge {shard} --out pages --format html {more}"));
-    let is_missing = "No figure, because the recorded controller is not available here.";
-    // Named on the command line of `suite run`, not on that of `merge`; renamed to a command in the second.
-    for (shard, name) in [("suite-shard", "evil.toml"), ("exec-shard", EXEC_CONTROLLER)] {
-        let text = page(shard, "");
-        assert!(!inputs.has_started() && text.code == 0, "{}", text.stderr);
-        assert!(text.stdout.contains(is_missing) && !text.stdout.contains("<figure"), "{}", text.stdout);
-        assert_contains(&text.stderr, &[OPTION, &format!("`{name}` is not available")]);
-    }
-    let text = page("suite-shard", OPTION);
-    assert!(inputs.has_started(), "{}", text.stderr);
-    assert!(text.stdout.contains("<figure") && !text.stdout.contains(is_missing), "{}", text.stderr);
-    // Other controllers of the same name: a network, which needs no permission, and a program.
-    let changed = "version = 1\ncommand = [\"./ev\", \"other\"]\nfiles = [\"ev\"]\n";
-    fs::write(inputs.folder().join("evil.toml"), changed).unwrap();
-    let text = page("suite-shard", OPTION);
-    assert!(!inputs.has_started(), "{}", text.stderr);
-    assert!(text.stdout.contains(is_missing) && !text.stdout.contains("<figure"), "{}", text.stderr);
-    assert!(text.stderr.contains("`evil.toml` is not available: its identity is "), "{}", text.stderr);
-    let networks = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers");
-    fs::copy(networks.join("acc-5x20.onnx"), inputs.folder().join("acc-5x20.onnx")).unwrap();
-    fs::copy(networks.join("acc.toml"), inputs.folder().join("evil.toml")).unwrap();
-    let text = page("suite-shard", "");
-    assert!(text.stdout.contains(is_missing) && !text.stdout.contains("<figure"), "{}", text.stderr);
-    assert!(text.stderr.contains("`evil.toml` is not available: its identity is "), "{}", text.stderr);
 }
 
 /// `git status` starts the programs that the configuration of a repository names.

@@ -257,17 +257,6 @@ fn kernel() -> Certificate {
     Certificate { version: 2, provenance, assumptions: statement.assumptions(), statement }
 }
 
-fn cruise() -> Certificate {
-    let digest = sha256("network");
-    let statement = json!({"adaptive-cruise": {
-        "policy_file": format!("network-{}.safetensors", &digest[..12]), "policy_sha256": digest,
-        "source": {"format": "onnx", "sha256": sha256("onnx")}, "cells": 4,
-        "margin_m_at_least": 1, "x_ego_width_m_at_most": 3
-    }});
-    let statement: Statement = serde_json::from_value(statement).unwrap();
-    Certificate { assumptions: statement.assumptions(), statement, ..kernel() }
-}
-
 fn reach() -> Certificate {
     let digest = sha256("policy");
     let statement = json!({"reach": {
@@ -283,6 +272,16 @@ fn reach() -> Certificate {
     let statement: Statement = serde_json::from_value(statement).unwrap();
     let provenance = CertificateProvenance { box_text: Some("steps = 500".to_owned()), ..unavoidable().provenance };
     Certificate { version: 2, provenance, assumptions: statement.assumptions(), statement }
+}
+
+/// A claim about a network in place of a policy.
+fn network() -> Certificate {
+    let mut certificate = reach();
+    let Statement::Reach(claim) = &mut certificate.statement else { panic!("a box") };
+    claim.policy_sha256 = sha256("network");
+    claim.policy_file = format!("network-{}.safetensors", &claim.policy_sha256[..12]);
+    claim.source = serde_json::from_value(json!({"format": "onnx", "sha256": sha256("onnx")})).unwrap();
+    Certificate { assumptions: certificate.statement.assumptions(), ..certificate }
 }
 
 /// Checks a modified certificate, with a renewed registration digest.
@@ -359,7 +358,6 @@ fn claims_about_no_scenario_name_none() {
         }
     };
     bound(kernel(), "kernel: full braking avoids", "a kernel does not belong to a scenario");
-    bound(cruise(), "the policy file is not there", "the benchmark defines its scenario");
 }
 
 #[test]
@@ -368,14 +366,13 @@ fn a_network_is_named_after_its_digest_and_where_it_is_from() {
         check_mutated(certificate, |certificate| {
             let (policy_file, policy_sha256) = match &mut certificate.statement {
                 Statement::Reach(claim) => (&mut claim.policy_file, &mut claim.policy_sha256),
-                Statement::AdaptiveCruise(claim) => (&mut claim.policy_file, &mut claim.policy_sha256),
                 _ => panic!("a statement about no network"),
             };
             *policy_file = file.map_or_else(|| policy_file.clone(), str::to_owned);
             *policy_sha256 = digest.map_or_else(|| policy_sha256.clone(), str::to_owned);
         })
     }
-    for (certificate, kind, other) in [(reach(), "policy", "network"), (cruise(), "network", "policy")] {
+    for (certificate, kind, other) in [(reach(), "policy", "network"), (network(), "network", "policy")] {
         let start = &sha256(kind)[..12];
         let named = |file: Option<&str>, digest: Option<&str>| check_named(certificate.clone(), file, digest);
         assert_eq!(named(None, None), "the policy file is not there", "all else is as it should be");
@@ -402,10 +399,6 @@ fn the_subject_of_a_claim_follows_from_kind_and_texts() {
     assert_eq!(about(&kernel()), "any two vehicles with these limits");
     let space = sha256("name = \"paper\"\n");
     assert!([rate(), comparison()].iter().all(|of| about(of) == format!("space `paper`, SHA-256 {space}")));
-    let benchmark = "the benchmark of adaptive cruise control of ARCH-COMP AINNCS";
-    for version in [1, 2] {
-        assert_eq!(about(&Certificate { version, ..cruise() }), benchmark, "version {version}");
-    }
     let old = about(&Certificate { version: 1, ..kernel() });
     assert_eq!(old, "``, as the file states; version 1 does not bind the statement to a text");
 }
@@ -416,8 +409,6 @@ fn the_duration_of_a_claim_is_printed_in_seconds() {
     let (horizon_s, text) = message(&reach());
     assert!(horizon_s == Some(5.0) && text.contains("for 5 s from the start and no longer"), "{text}");
     assert!(text.contains("leader: 15 to 17 m ahead, 25 m/s, brakes at 3 m/s² from 0.5 to 1.5 s on"), "{text}");
-    let (horizon_s, text) = message(&cruise());
-    assert!(horizon_s == Some(5.0) && text.contains("for 5 s from the start and no longer"), "{text}");
     let (horizon_s, text) = message(&kernel());
     assert!(horizon_s == Some(f64::INFINITY) && text.contains("for ever"), "{text}");
     // A witness may establish safety after it.
@@ -435,7 +426,7 @@ fn statements_have_the_names_used_in_files() {
     let avoidable = AvoidableClaim { scene: scene.clone(), witness: Vec::new(), min_gap_m_at_least: None };
     let gap_bound = GapBoundClaim { scene: scene.clone(), gap_m: 1.0, branches };
     let of_scenes = [Statement::Avoidable(avoidable), unavoidable().statement, Statement::GapBound(gap_bound)];
-    let of_none = [kernel(), rate(), comparison(), reach(), cruise()].map(|certificate| certificate.statement);
+    let of_none = [kernel(), rate(), comparison(), reach(), network()].map(|certificate| certificate.statement);
     for statement in of_scenes.iter().chain(&of_none) {
         let file = serde_json::to_value(statement).unwrap();
         let names: Vec<&String> = file.as_object().unwrap().keys().collect();
@@ -447,7 +438,7 @@ fn statements_have_the_names_used_in_files() {
 
 #[test]
 fn a_policy_is_looked_for_beside_its_certificate() {
-    let network = cruise();
+    let network = network();
     let digest = sha256("network");
     let name = format!("network-{}.safetensors", &digest[..12]);
     assert_eq!(network.policy_reference(), Some((name.as_str(), digest.as_str())));
@@ -469,8 +460,8 @@ fn a_policy_is_looked_for_beside_its_certificate() {
     assert_eq!(network.read_policy(&path, Some(&other)).as_deref(), Some(&b"another one"[..]));
     assert_eq!(reach().read_policy(&path, None), None, "there is none");
     assert_eq!(kernel().read_policy(&path, Some(&other)), None, "it needs none");
-    let mut astray = cruise();
-    let Statement::AdaptiveCruise(claim) = &mut astray.statement else { panic!() };
+    let mut astray = network.clone();
+    let Statement::Reach(claim) = &mut astray.statement else { panic!() };
     claim.policy_file = format!("/nowhere/{name}");
     assert_eq!(astray.read_policy(&path, None).as_deref(), Some(&b"a network"[..]));
     std::fs::remove_dir_all(folder).unwrap();

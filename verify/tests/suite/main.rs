@@ -8,7 +8,6 @@
     reason = "everything here is a test"
 )]
 
-mod arch_comp;
 mod avoidable;
 mod certificates;
 mod exact;

@@ -10,7 +10,6 @@
 //! (N + omitted) / N brakings. Otherwise a bad recording would lower the rate.
 
 mod counting;
-mod resample_shards;
 mod resampling;
 #[cfg(test)]
 mod tests;
@@ -18,7 +17,6 @@ mod tests;
 use serde::{Deserialize, Serialize};
 
 pub(crate) use counting::{EpisodeClusters, expected_count_interval};
-pub(super) use resample_shards::{MergedResamples, ResampleCountMismatch, ResampleShard, resample_range};
 pub(crate) use resampling::estimate_on_resamples;
 pub use resampling::{MIN_RESAMPLES, Resamples, ResamplingError, count_on_resamples};
 

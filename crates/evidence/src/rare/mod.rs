@@ -35,9 +35,6 @@ mod plan;
 mod progress;
 #[cfg(test)]
 mod progress_tests;
-mod shard;
-#[cfg(test)]
-mod shard_tests;
 mod splitting;
 #[cfg(test)]
 mod tests;
@@ -48,7 +45,6 @@ pub use folder::RareFolder;
 pub use importance::ImportanceProposal;
 pub use pilot::{Pilot, Repetitions};
 pub use plan::{RareError, RarePlan, RareReport};
-pub use shard::{ESTIMATE_SHARD_KIND, MergedEstimate, RareShard};
 pub use splitting::{MAX_LEVELS, PILOT_FACTORS, SplittingLevels};
 
 /// Effort of an estimate.

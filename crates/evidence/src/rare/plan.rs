@@ -1,17 +1,14 @@
 //! Estimation of the failure rate of a controller in a scenario space.
 
-use std::ops::Range;
-
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::splitting::{LimitState, RandomInputs};
 use super::{Pilot, RareEstimate, RareMethod, SplittingConfig};
-use crate::exposure::{FailureProbability, RatePerExposure, ResampleShard, estimate_on_resamples};
+use crate::exposure::{FailureProbability, RatePerExposure, estimate_on_resamples};
 use crumple_core::digest::sha256;
 use crumple_core::observer::{ProgressCounter, Stopped};
 use crumple_store::run_folder::RunFolderError;
-use crumple_store::shard::{MergeError, TooManyShards};
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
@@ -66,12 +63,6 @@ pub enum RareError {
     /// The folder cannot be used, or a file in it is damaged.
     #[error(transparent)]
     RunFolder(#[from] RunFolderError),
-    /// Shards do not match each other or their space.
-    #[error(transparent)]
-    Merge(#[from] MergeError),
-    /// More shards than repetitions.
-    #[error(transparent)]
-    Shards(#[from] TooManyShards),
     /// The controller has no identity, so earlier results cannot be attributed to it.
     #[error(
         "the controller `{0}` states no identity, so its estimate cannot be resumed; start again without --resume, \
@@ -183,22 +174,6 @@ impl RarePlan {
         }
         let resamples = estimate_on_resamples(&self.space, self.seed, resamples, again)?;
         Ok(RatePerExposure::new(&self.space, FailureProbability::Estimated(estimate), resamples.as_ref()))
-    }
-
-    pub(super) fn estimate_resamples(
-        &self,
-        resamples: u32,
-        own: Range<u64>,
-        again: &mut dyn FnMut(&ScenarioSpace, u64) -> Result<RareEstimate, RareError>,
-    ) -> Result<Vec<RareEstimate>, RareError> {
-        if own.is_empty() {
-            return Ok(Vec::new());
-        }
-        let (mut part, none) = (ResampleShard::new(own), RareEstimate::default());
-        let mut again = |space: &ScenarioSpace, seed: u64| part.next(none.clone(), || again(space, seed));
-        // The merge reports why resampling is impossible.
-        let _ = estimate_on_resamples(&self.space, self.seed, resamples, &mut again)?;
-        Ok(part.into_results())
     }
 
     pub(super) fn estimate_in_space(

@@ -1,4 +1,4 @@
-//! Progress of an unfinished estimate or shard in the file `progress.json`. The file holds the pilot, or its state
+//! Progress of an unfinished estimate in the file `progress.json`. The file holds the pilot, or its state
 //! after each population and round of a fit; completed repetitions; and estimates in resamples. All of them depend on
 //! the seed only, so a resumed estimate has the result of an uninterrupted one.
 
@@ -15,7 +15,7 @@ use crumple_world::scenario::space::ScenarioSpace;
 
 pub(super) const PROGRESS_FILE: &str = "progress.json";
 
-/// A run folder of an estimate, or of a shard of one.
+/// A run folder of an estimate.
 #[derive(Debug)]
 pub(super) struct RareProgress {
     pub(super) run_folder: RunFolder,

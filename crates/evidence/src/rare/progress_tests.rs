@@ -8,13 +8,12 @@ use super::progress::PROGRESS_FILE;
 use super::*;
 use crate::fixtures::rare_plan;
 use crumple_core::observer::{Listener, RunProgress};
-use crumple_store::shard::ShardId;
 
 fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
     rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
 }
 
-fn run_until(plan: &RarePlan, shard: Option<ShardId>, folder: &Path, plug: u64) -> Option<u64> {
+fn run_until(plan: &RarePlan, folder: &Path, plug: u64) -> Option<u64> {
     let runs = AtomicU64::new(0);
     // Pilot and repetitions both count from 0.
     let after = |before: u64| {
@@ -25,28 +24,19 @@ fn run_until(plan: &RarePlan, shard: Option<ShardId>, folder: &Path, plug: u64) 
         })
     };
     let so_far = || runs.load(Ordering::SeqCst);
-    let work = || match shard {
-        Some(shard) => {
-            let mut part = plan.open_shard_folder(shard, 0, folder, true).unwrap();
-            if !part.is_complete() {
-                let pilot = part.run_pilot(&after(0)).unwrap();
-                part.run_repetitions(&pilot, &after(so_far())).unwrap();
-            }
-        }
-        None => {
-            let mut kept = plan.open_folder(folder, true).unwrap();
-            if kept.read_report().unwrap().is_none() {
-                let pilot = kept.run_pilot(plan, &after(0)).unwrap();
-                kept.estimate(plan, &pilot, 0, &after(so_far())).unwrap();
-            }
+    let work = || {
+        let mut kept = plan.open_folder(folder, true).unwrap();
+        if kept.read_report().unwrap().is_none() {
+            let pilot = kept.run_pilot(plan, &after(0)).unwrap();
+            kept.estimate(plan, &pilot, 0, &after(so_far())).unwrap();
         }
     };
     let ended = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
     ended.ok().map(|()| runs.into_inner())
 }
 
-fn assert_same(one: &Path, other: &Path, name: &str) {
-    for name in [name, "work.json"] {
+fn assert_same(one: &Path, other: &Path) {
+    for name in ["rare-estimate.json", "work.json"] {
         assert!(fs::read(one.join(name)).unwrap() == fs::read(other.join(name)).unwrap(), "{name}");
     }
     assert!(!one.join(PROGRESS_FILE).exists() && !one.join("previous").exists());
@@ -58,22 +48,20 @@ proptest! {
     /// Repeated interruptions, with any number of threads, do not change the bytes of the result.
     #[test]
     fn an_interrupted_estimate_resumes_to_the_same_bytes(
-        (importance, seed, shard) in (any::<bool>(), 0..20_u64, prop::option::of(1..=2_u32)),
+        (importance, seed) in (any::<bool>(), 0..20_u64),
         interruptions in prop::collection::vec((100..6000_u64, 1..=3_usize), 1..5),
     ) {
         let plan = rare_plan(if importance { RareMethod::Importance } else { RareMethod::Splitting }, seed, 14);
-        let shard = shard.map(|index| ShardId::new(index, 2).unwrap());
-        let name = if shard.is_some() { "repetitions.json" } else { "rare-estimate.json" };
         let root = tempfile::tempdir().unwrap();
         let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
-        let all = with_threads(2, || run_until(&plan, shard, &through, u64::MAX)).unwrap();
+        let all = with_threads(2, || run_until(&plan, &through, u64::MAX)).unwrap();
         let interrupted = |&(runs, threads): &(u64, usize)| {
-            with_threads(threads, || run_until(&plan, shard, &broken, runs)).is_none()
+            with_threads(threads, || run_until(&plan, &broken, runs)).is_none()
         };
         let times = interruptions.iter().filter(|one| interrupted(one)).count();
-        let left = with_threads(3, || run_until(&plan, shard, &broken, u64::MAX)).unwrap();
+        let left = with_threads(3, || run_until(&plan, &broken, u64::MAX)).unwrap();
         prop_assert!(left <= all && (times > 0 || left == 0), "{left} of {all} after {times} interruptions");
-        assert_same(&through, &broken, name);
+        assert_same(&through, &broken);
     }
 }
 
@@ -82,19 +70,19 @@ fn repetitions_are_kept_as_they_end() {
     for method in [RareMethod::Splitting, RareMethod::Importance] {
         let (plan, root) = (rare_plan(method, 1, 14), tempfile::tempdir().unwrap());
         let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
-        let all = with_threads(1, || run_until(&plan, None, &through, u64::MAX)).unwrap();
-        assert_eq!(with_threads(1, || run_until(&plan, None, &broken, all - 1)), None);
+        let all = with_threads(1, || run_until(&plan, &through, u64::MAX)).unwrap();
+        assert_eq!(with_threads(1, || run_until(&plan, &broken, all - 1)), None);
         assert!(plan.open_folder(&broken, true).unwrap().completed_repetitions() >= 4, "{method:?}");
-        let left = with_threads(1, || run_until(&plan, None, &broken, u64::MAX)).unwrap();
+        let left = with_threads(1, || run_until(&plan, &broken, u64::MAX)).unwrap();
         assert!(left > 0 && left < all / 3, "{method:?}: {left} of {all}");
-        assert_same(&through, &broken, "rare-estimate.json");
+        assert_same(&through, &broken);
     }
 }
 
 #[test]
 fn only_the_same_estimate_resumes_an_unfinished_folder() {
     let (plan, root) = (rare_plan(RareMethod::Importance, 1, 14), tempfile::tempdir().unwrap());
-    assert_eq!(with_threads(1, || run_until(&plan, None, root.path(), 3000)), None);
+    assert_eq!(with_threads(1, || run_until(&plan, root.path(), 3000)), None);
     assert!(root.path().join(PROGRESS_FILE).exists());
     let error = |plan: &RarePlan, resume| plan.open_folder(root.path(), resume).err().map(|error| error.to_string());
     assert!(

@@ -2,38 +2,24 @@
 //! with a hash of its runs. The merged blocks, sums, bound and certificate are those of an undivided count, without
 //! rounding. Memory grows with the number of blocks, at most ten thousand, not of runs.
 
-use std::ops::{Deref, DerefMut, Range};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
 
 use crumple_verify::Certificate;
 use serde::Serialize;
 
-use super::exposure::{
-    FailureProbability, MergedResamples, RatePerExposure, ResampleCountMismatch, count_on_resamples,
-};
-use super::rate_folder::RateFolderError;
-use super::rate_shard::ShardedCount;
+use super::rate::BLOCKS_NAME;
+use super::rate_folder::{PROGRESS_FILE, RateFolderError};
+use super::rate_shard::{SHARD_FILE, ShardFile};
 use super::record::{CountRecord, CountTally, range_len};
 use crumple_store::run_folder::CompletedRun;
-use crumple_store::shard::{MergeError, MergedShards, MissingShards, SHARD_FILE};
-use crumple_world::scenario::space::{ScenarioSpace, file};
+use crumple_store::shard::{MergeError, MissingShards, Parts};
 
 /// Shards of one count, for merging.
 #[derive(Debug)]
-pub struct MergedCount(MergedShards<ShardedCount>);
-
-impl Deref for MergedCount {
-    type Target = MergedShards<ShardedCount>;
-
-    fn deref(&self) -> &Self::Target {
-        &self.0
-    }
-}
-
-impl DerefMut for MergedCount {
-    fn deref_mut(&mut self) -> &mut Self::Target {
-        &mut self.0
-    }
+pub struct MergedCount {
+    record: CountRecord,
+    parts: Parts<CountTally>,
 }
 
 /// Result of some or all shards.
@@ -72,28 +58,48 @@ impl MergedCount {
     /// # Errors
     /// [`MergeError`] if the shard cannot be read.
     pub fn new(folder: &Path, found: &CompletedRun) -> Result<Self, MergeError> {
-        MergedShards::new(folder, found).map(Self)
+        let mut merged = Self { record: ShardFile::read(found)?.count, parts: Parts::new(folder) };
+        merged.add_shard(folder, found)?;
+        Ok(merged)
+    }
+
+    /// Adds another shard. After an error nothing has changed.
+    ///
+    /// # Errors
+    /// [`MergeError`] if it cannot be read, or is not a shard of the same count.
+    pub fn add_shard(&mut self, folder: &Path, found: &CompletedRun) -> Result<(), MergeError> {
+        let ShardFile { shard, count, .. } = ShardFile::read(found)?;
+        let blocks = shard.range(count.block_count(), BLOCKS_NAME);
+        let blocks = blocks.map_err(|error| found.damaged_error(SHARD_FILE, error))?;
+        if let Some(field) = self.record.differing_field(&count) {
+            return Err(self.parts.foreign_error(folder, field));
+        }
+        let text = found.read(PROGRESS_FILE)?;
+        let tally = serde_json::from_str(&text).map_err(|error| found.unreadable_error(PROGRESS_FILE, &error))?;
+        if !count.is_shard_tally(&blocks, &tally) {
+            let problem = format!("inconsistent with shard {shard} of that count");
+            return Err(found.damaged_error(PROGRESS_FILE, problem).into());
+        }
+        self.parts.insert(folder, shard, blocks, tally)
     }
 
     /// Returns the registration with the space.
     #[must_use]
     pub fn record(&self) -> &CountRecord {
-        &self.work().count
+        &self.record
     }
 
-    /// True if every run was counted.
-    #[must_use]
-    pub fn is_complete(&self) -> bool {
-        self.missing_ranges().is_empty()
+    fn missing_blocks(&self) -> Vec<Range<u64>> {
+        self.parts.missing_ranges(self.record.block_count())
     }
 
     /// Returns the result of the shards.
     #[must_use]
     pub fn partial_count(&self) -> PartialCount {
-        let sum = |of: fn(&CountTally) -> u64| self.parts().contents().map(of).sum::<u64>();
+        let sum = |of: fn(&CountTally) -> u64| self.parts.contents().map(of).sum::<u64>();
         let missing: Vec<Range<u64>> =
-            self.missing_ranges().into_iter().map(|blocks| self.record().run_range(blocks)).collect();
-        let MissingShards { shard_count: of_shards, missing_shards } = self.parts().missing_shards();
+            self.missing_blocks().into_iter().map(|blocks| self.record().run_range(blocks)).collect();
+        let MissingShards { shard_count: of_shards, missing_shards } = self.parts.missing_shards();
         let open: u64 = missing.iter().map(range_len).sum();
         let failures = sum(|tally| tally.failures);
         let worst = failures.saturating_add(open);
@@ -104,8 +110,8 @@ impl MergedCount {
             failures,
             only_first_failed: sum(|tally| tally.only_first_failed),
             only_second_failed: sum(|tally| tally.only_second_failed),
-            shards: self.parts().shard_count(),
-            duplicates: self.parts().duplicates(),
+            shards: self.parts.shard_count(),
+            duplicates: self.parts.duplicates(),
             missing_runs: missing.iter().map(|runs| [runs.start, runs.end]).collect(),
             missing_shards,
             shard_count: of_shards,
@@ -120,37 +126,14 @@ impl MergedCount {
     /// Returns the tally of all runs; `None` while some are missing.
     #[must_use]
     pub fn tally(&self) -> Option<CountTally> {
-        if !self.is_complete() {
+        if !self.missing_blocks().is_empty() {
             return None;
         }
         let mut tally = self.record().empty_tally();
-        for (index, block) in (0..).zip(self.parts().contents().flat_map(|part| &part.blocks)) {
+        for (index, block) in (0..).zip(self.parts.contents().flat_map(|part| &part.blocks)) {
             tally.add_block(range_len(&self.record().run_range(index..index + 1)), block.clone());
         }
         Some(tally)
-    }
-
-    /// Returns failures per hour and per 1000 km if the space states its exposure, identical to an undivided count;
-    /// `None` while runs are missing.
-    ///
-    /// # Errors
-    /// [`MergeError`] if the resamples are not those of the space.
-    pub fn rate_per_exposure(&self) -> Result<Option<RatePerExposure>, MergeError> {
-        let (Some(tally), Some(resampling)) = (self.tally(), self.work().resampling) else { return Ok(None) };
-        let unusable = |problem: String| self.parts().damaged_error(SHARD_FILE, problem);
-        let space = file::from_toml(&self.record().space_text, Path::new("space_text"));
-        let space = space.map_err(|error| unusable(error.to_string()))?;
-        let seed = self.record().registration.configuration.get("seed").and_then(|seed| seed.parse().ok());
-        let seed = seed.ok_or_else(|| unusable("configuration.seed: must be a number".to_owned()))?;
-        let mut kept =
-            MergedResamples::new(self.parts().contents().flat_map(|part| &part.resample_failures).copied().collect());
-        let resamples =
-            count_on_resamples(&space, seed, resampling.0, resampling.1, &mut |_: &ScenarioSpace, _, _| kept.next());
-        let resamples = resamples.and_then(|resamples| kept.finish().map(|()| resamples));
-        let resamples = resamples
-            .map_err(|ResampleCountMismatch| unusable("the number of resamples does not match the space".to_owned()))?;
-        let known = FailureProbability::Counted { failures: tally.failures, unknown: 0, runs: tally.runs };
-        Ok(RatePerExposure::new(&space, known, resamples.as_ref()))
     }
 
     /// Writes the folder of the whole count, byte for byte as an undivided count would, and returns the path of its

@@ -188,27 +188,6 @@ impl EvidenceCache {
         Ok(ScratchFolder { path, _temporary: None })
     }
 
-    /// Returns the cache entries of this run, sorted by name.
-    pub(super) fn entries(&self) -> Result<Vec<CacheEntry>, CacheError> {
-        let Some(folder) = &self.folder else { return Ok(Vec::new()) };
-        let mut hashes = self.hashes();
-        hashes.dedup();
-        let read = |hash: &EvidenceHash| {
-            let path = folder.join(format!("{}.json", self.file_stem(&hash.name, &hash.inputs_sha256)));
-            let text = fs::read_to_string(&path).map_err(DiskError::at(&path))?;
-            serde_json::from_str(&text).map_err(CacheError::encoding)
-        };
-        hashes.iter().map(read).collect()
-    }
-
-    /// Stores evidence that another process gathered. Returns the number of entries stored.
-    pub(super) fn insert(&self, kept: &CacheEntry) -> Result<usize, CacheError> {
-        let Some(folder) = &self.folder else { return Ok(0) };
-        let path = folder.join(format!("{}.json", self.file_stem(&kept.name, &kept.inputs_sha256)));
-        disk::write(&path, to_json(kept)?)?;
-        Ok(1)
-    }
-
     fn file_stem(&self, name: &str, inputs_sha256: &str) -> String {
         let key = sha256(format!("{}\n{name}\n{inputs_sha256}", self.program));
         format!("{}-{}", slug(name), key.get(..16).unwrap_or_default())

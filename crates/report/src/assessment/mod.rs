@@ -11,7 +11,6 @@ mod claims;
 mod commands;
 mod config;
 mod document;
-mod evidence_tasks;
 mod gate;
 mod gather_context;
 mod junit;
@@ -21,7 +20,6 @@ mod plan;
 mod planned_suite;
 mod prose;
 mod rounded;
-mod shard;
 mod table;
 
 use crate::markdown;
@@ -56,7 +54,6 @@ pub use parts::{
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
 pub use rounded::Rounded;
-pub use shard::{ASSESSMENT_SHARD_KIND, EvidenceShardError, MergedEvidence, gather_shard};
 
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress, Stopped};
 use crumple_evidence::{InvalidRate, RateError};

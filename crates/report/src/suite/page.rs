@@ -173,7 +173,6 @@ impl Page<'_> {
         let title = format!("{}, {}", failed.point, tested.controller);
         let labels = vehicle_names(&failed.scenario);
         html! {
-            @if named.is_none() { p.kicker { "No figure, because the recorded controller is not available here." } }
             @if let Some(simulated) = simulated { @if let Some(trace) = &simulated.trace {
                 @let impacts = &simulated.impacts;
                 figure {

@@ -4,9 +4,9 @@ use rand::RngExt;
 
 use super::climb::{ClimbMove, Climbs};
 use super::cma_es::{CmaRun, INITIAL_SIGMA, default_population};
+use super::leader_descent::LeaderDescent;
 use super::method::nan_as_infinity;
 use super::plateau_bisection::{Plateaus, Segment};
-use super::sequential::LeaderDescent;
 use super::simple_points::sample_simple_point;
 use super::surrogate::{MetricSelection, Surrogate};
 use super::{SearchAlgorithm, UnitCube};

@@ -53,10 +53,6 @@ impl Halton {
         let coordinates = primes().take(cube.dimension()).zip(0..).map(|(base, i)| Coordinate::new(base, seed, i));
         Self { coordinates: coordinates.collect(), next: 0 }
     }
-
-    pub(super) fn skip_points(self, points: u64) -> Self {
-        Self { next: points, ..self }
-    }
 }
 
 fn primes() -> impl Iterator<Item = u64> {

@@ -6,16 +6,12 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::annealing::Annealing;
 use super::auto::Auto;
 use super::cma_es::CmaEs;
 use super::cross_entropy::CrossEntropy;
 use super::cube::UnitCube;
 use super::halton::Halton;
-use super::sequential::Sequential;
-use super::signals::SignalSearch;
 use super::uniform::UniformSearch;
-use crumple_world::random::derived_seed;
 
 /// A search for the smallest robustness in a unit cube. [`CustomMethod`] adds an implementation to a campaign.
 pub trait SearchAlgorithm: fmt::Debug + Send {
@@ -40,12 +36,6 @@ pub enum Method {
     CmaEs,
     /// Cross-entropy with independent normal coordinates.
     CrossEntropy,
-    /// Simulated annealing.
-    Annealing,
-    /// Signals of few pieces with bang-bang moves.
-    Signals,
-    /// Sequential convex programming on the braking of the leader.
-    Sequential,
     /// A portfolio.
     Auto,
     /// A method of the program that uses this library.
@@ -54,8 +44,8 @@ pub enum Method {
 
 /// A search method that is not built in: a name, and a function that starts a search from a cube and a seed.
 ///
-/// A campaign records the name, and does not resume with a method of another name. It cannot be divided into shards,
-/// nor shown by `crumple explore`, because these read the method from a file.
+/// A campaign records the name, and does not resume with a method of another name. `crumple explore`
+/// cannot show it, because it reads the method from a file.
 ///
 /// ```
 /// use crumple_core::observer::Quiet;
@@ -149,16 +139,7 @@ pub struct UnknownMethod {
 
 impl Method {
     /// All built-in methods.
-    pub const ALL: [Self; 8] = [
-        Self::Uniform,
-        Self::Halton,
-        Self::CmaEs,
-        Self::CrossEntropy,
-        Self::Annealing,
-        Self::Signals,
-        Self::Sequential,
-        Self::Auto,
-    ];
+    pub const ALL: [Self; 5] = [Self::Uniform, Self::Halton, Self::CmaEs, Self::CrossEntropy, Self::Auto];
 
     /// Returns the name used on the command line and in files.
     #[must_use]
@@ -168,9 +149,6 @@ impl Method {
             Self::Halton => "halton",
             Self::CmaEs => "cma-es",
             Self::CrossEntropy => "cross-entropy",
-            Self::Annealing => "annealing",
-            Self::Signals => "signals",
-            Self::Sequential => "sequential",
             Self::Auto => "auto",
             Self::Custom(custom) => &custom.name,
         }
@@ -184,29 +162,15 @@ impl Method {
             Self::Halton => "a randomised Halton sequence",
             Self::CmaEs => "covariance matrix adaptation with restarts",
             Self::CrossEntropy => "cross-entropy with independent normal coordinates",
-            Self::Annealing => "simulated annealing",
-            Self::Signals => "signals with few pieces and bang-bang moves",
-            Self::Sequential => "sequential convex programming of the leader's braking, from the best simple points",
             Self::Auto => "a portfolio of simple inputs, screened descents and edges of plateaus",
             Self::Custom(_) => "a method of the program that uses the library",
         }
     }
 
-    /// Returns true for non-adaptive methods (uniform, Halton), whose points can be generated from any index.
+    /// Returns true for non-adaptive methods (uniform, Halton).
     #[must_use]
     pub fn is_non_adaptive(&self) -> bool {
         matches!(self, Self::Uniform | Self::Halton)
-    }
-
-    /// Starts after `points` points of a non-adaptive search; any other method starts a new search with another seed.
-    #[must_use]
-    pub fn start_after(&self, points: u64, cube: &UnitCube, seed: u64) -> Box<dyn SearchAlgorithm> {
-        match self {
-            Self::Uniform => Box::new(UniformSearch::new(cube, seed).skip_points(points)),
-            Self::Halton => Box::new(Halton::new(cube, seed).skip_points(points)),
-            _ if points == 0 => self.start(cube, seed),
-            _ => self.start(cube, derived_seed(seed, points)),
-        }
     }
 
     /// Starts a search in `cube`, determined by `seed`.
@@ -217,9 +181,6 @@ impl Method {
             Self::Halton => Box::new(Halton::new(cube, seed)),
             Self::CmaEs => Box::new(CmaEs::new(cube, seed)),
             Self::CrossEntropy => Box::new(CrossEntropy::new(cube, seed)),
-            Self::Annealing => Box::new(Annealing::new(cube, seed)),
-            Self::Signals => Box::new(SignalSearch::new(cube, seed)),
-            Self::Sequential => Box::new(Sequential::new(cube, seed)),
             Self::Auto => Box::new(Auto::new(cube, seed)),
             Self::Custom(custom) => (custom.start)(cube, seed),
         }
@@ -265,7 +226,6 @@ mod tests {
     use super::*;
     use crate::falsify::campaign::{Campaign, CampaignError, CampaignOptions, CampaignProgress};
     use crumple_core::observer::Quiet;
-    use crumple_store::shard::ShardId;
     use proptest::prelude::*;
     use std::ops::ControlFlow;
 
@@ -315,32 +275,11 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let outside = campaign("outside", 1.5).run(&folder.path().join("a"), CampaignOptions::default(), &Quiet);
         assert!(matches!(outside, Err(CampaignError::InvalidPoints(_))), "{outside:?}");
-        let shard = ShardId::new(1, 2).unwrap();
-        let divided = campaign("mine", 0.5).run_shard(shard, &folder.path().join("b"), false, &Quiet);
-        assert!(matches!(divided, Err(CampaignError::CustomMethodInShards(_))), "{divided:?}");
     }
 
     proptest! {
         // Each case runs all methods twice.
         #![proptest_config(crumple_cases::with_cases(100))]
-
-        /// Parts of a non-adaptive search equal the whole search; parts of any other are separate searches.
-        #[test]
-        fn a_part_of_a_blind_search_is_its_points(seed in any::<u64>(), points in 0..200_u64) {
-            let cube = UnitCube::new([1, 3]).unwrap();
-            for method in Method::ALL {
-                let mut whole = method.start(&cube, seed);
-                let mut all: Vec<Vec<f64>> = Vec::new();
-                while method.is_non_adaptive() && all.len() < points as usize + 32 {
-                    all.extend(whole.ask());
-                }
-                let part = method.start_after(points, &cube, seed).ask();
-                match method.is_non_adaptive() {
-                    true => prop_assert_eq!(&all[points as usize..][..32], &part[..]),
-                    false => prop_assert_eq!(points == 0 && part == whole.ask(), points == 0),
-                }
-            }
-        }
 
         #[test]
         fn every_method_stays_in_the_cube_and_repeats_itself(

@@ -1,4 +1,4 @@
-//! Falsification: search methods that look for negative robustness, and problems to measure them.
+//! Falsification: search methods that look for negative robustness.
 //!
 //! A search moves in a [`UnitCube`]; the caller scales it to the problem. The search proposes a batch of points
 //! ([`SearchAlgorithm::ask`]) and receives their values ([`SearchAlgorithm::tell`]). A batch depends only on the seed
@@ -6,15 +6,13 @@
 //! resumes by replaying the logged values.
 //!
 //! The cube marks the coordinates of signals and of the script of a leader. Sequential convex programming
-//! ([`worst_case`](crate::worst_case)) worsens that script in the methods `sequential` and `auto`.
+//! ([`worst_case`](crate::worst_case)) worsens that script in the method `auto`.
 //!
 //! A [`campaign`] combines a space, a controller, a specification and a method with a budget. Its run folder contains
 //! every evaluation, and the distinct failures as [`counterexample`] files.
 
-mod annealing;
 mod auto;
 pub mod campaign;
-pub mod chasing_cars;
 mod climb;
 mod cma_es;
 pub mod counterexample;
@@ -23,11 +21,10 @@ mod cube;
 mod evaluator;
 mod failure_criterion;
 mod halton;
+mod leader_descent;
 mod method;
 pub mod non_finite;
 mod plateau_bisection;
-mod sequential;
-mod signals;
 mod simple_points;
 mod surrogate;
 #[cfg(test)]

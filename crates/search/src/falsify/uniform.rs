@@ -17,16 +17,6 @@ impl UniformSearch {
     pub(super) fn new(cube: &UnitCube, seed: u64) -> Self {
         Self { random: stream(seed, Purpose::Search, 0), dimension: cube.dimension() }
     }
-
-    /// Skips `points` points. The stream cannot jump; drawing takes a nanosecond per coordinate.
-    pub(super) fn skip_points(mut self, points: u64) -> Self {
-        for _ in 0..points {
-            for _ in 0..self.dimension {
-                let _: f64 = self.random.random();
-            }
-        }
-        self
-    }
 }
 
 impl SearchAlgorithm for UniformSearch {

@@ -99,67 +99,10 @@ impl CompletedRun {
     /// [`RunFolderError`] as for [`Self::read`], and if the run used another configuration.
     pub fn read_configuration(&self, name: &str) -> Result<String, RunFolderError> {
         let text = self.read(name)?;
-        match self.has_configuration(&text) {
+        match sha256(&text) == self.manifest.configuration_sha256 {
             true => Ok(text),
             false => Err(self.damaged_error(name, "the run in the same folder has a different configuration")),
         }
-    }
-
-    /// Returns true if the run used this configuration.
-    #[must_use]
-    pub fn has_configuration(&self, configuration: &str) -> bool {
-        self.manifest.configuration_sha256 == sha256(configuration)
-    }
-
-    /// Checks that every file is as it was written.
-    ///
-    /// # Errors
-    /// [`RunFolderError`] names the first that is not.
-    pub fn check(&self) -> Result<(), RunFolderError> {
-        self.file_names().iter().try_for_each(|name| self.read_bytes(name).map(drop))
-    }
-
-    /// Returns true if another run has the same configuration and results.
-    #[must_use]
-    pub fn is_identical_to(&self, other: &Self) -> bool {
-        self.manifest == other.manifest
-    }
-
-    /// Returns true if the folder already contains this run, so that no copy is needed.
-    ///
-    /// # Errors
-    /// [`RunFolderError`] if the folder contains another run.
-    pub fn is_present_in(&self, folder: &Path) -> Result<bool, RunFolderError> {
-        let path = folder.join(MANIFEST_FILE);
-        let own = self.folder.display();
-        match Manifest::read(&path)? {
-            None => Ok(false),
-            Some(there) if there == self.manifest => Ok(true),
-            Some(Manifest { kind, program, .. }) => {
-                let problem = match program {
-                    Some(_) => format!("the {kind} there is unfinished, and the one in {own} is complete"),
-                    None => format!("the {kind} there has a different result than the one in {own}"),
-                };
-                Err(RunFolderError::damaged(&path, problem))
-            }
-        }
-    }
-
-    /// Copies the run to a folder, unless it is there already. Checks every file, and writes the manifest last.
-    ///
-    /// # Errors
-    /// [`RunFolderError`] if a file is not as it was written, or the folder contains another run.
-    pub fn copy_to(&self, folder: &Path) -> Result<(), RunFolderError> {
-        if self.is_present_in(folder)? {
-            return Ok(());
-        }
-        disk::make_folder(folder)?;
-        for name in self.file_names() {
-            let place = folder.join(&name);
-            place.parent().map_or(Ok(()), disk::make_folder)?;
-            disk::write(&place, self.read_bytes(&name)?)?;
-        }
-        Ok(self.manifest.write(folder)?)
     }
 
     /// Returns the error about a file that is not JSON of the expected form.

@@ -2,113 +2,15 @@
 //!
 //! A shard is a pure function of the configuration of the whole run, of I and of N. Its folder contains all of these.
 
-mod merge;
 mod parts;
 
 use std::fmt;
 use std::ops::Range;
-use std::path::Path;
 use std::str::FromStr;
 
-use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
-use crate::difference;
-use crate::disk::DiskError;
-use crate::run_folder::{CompletedRun, RunFolder, RunFolderError, RunFolderOptions};
-
-pub use merge::{Mergeable, MergedShards};
 pub use parts::{MergeError, MissingShards, Parts};
-
-/// Name of the file with everything that decides a shard.
-pub const SHARD_FILE: &str = "shard.json";
-
-/// Everything that decides a run that can be divided, as in `shard.json` with the version and the number of the shard.
-pub trait Sharded: PartialEq + Serialize + DeserializeOwned {
-    /// Kind of a shard's folder in its `work.json`, as a noun for readers.
-    const KIND: &'static str;
-    /// Version of `shard.json`.
-    const VERSION: u32;
-    /// Name of the file with the results of a shard.
-    const RESULTS_FILE: &'static str;
-    /// Name of the parts, in the plural.
-    const PARTS_NAME: &'static str;
-    /// True to write each field of `shard.json` on its own line.
-    const IS_PRETTY: bool = false;
-
-    /// Returns the number of parts of the whole run.
-    fn part_count(&self) -> u64;
-
-    /// Returns the first field in which another run differs.
-    fn differing_field(&self, other: &Self) -> Option<String>;
-
-    /// Returns the first field that is invalid, with the reason.
-    fn problem(&self) -> Option<String> {
-        None
-    }
-}
-
-/// Version and number of a shard in `shard.json`. The rest is read only if the version is known.
-#[derive(Deserialize)]
-struct ShardHeader {
-    version: u32,
-    shard: ShardId,
-}
-
-/// The file `shard.json`.
-#[derive(Serialize)]
-struct ShardFile<'a, W> {
-    version: u32,
-    shard: ShardId,
-    #[serde(flatten)]
-    work: &'a W,
-}
-
-/// Opens the folder of a shard and writes `shard.json`.
-///
-/// # Errors
-/// [`RunFolderError`] if the folder cannot be used, or contains another run: the error names the field that differs.
-pub fn open_shard<W: Sharded>(
-    work: &W,
-    shard: ShardId,
-    folder: &Path,
-    resume: bool,
-) -> Result<RunFolder, RunFolderError> {
-    let file = ShardFile { version: W::VERSION, shard, work };
-    let text = if W::IS_PRETTY { serde_json::to_string_pretty(&file) } else { serde_json::to_string(&file) };
-    let text = text.map_err(|error| DiskError::at(&folder.join(SHARD_FILE))(error.into()))? + "\n";
-    let outputs = &[SHARD_FILE, W::RESULTS_FILE];
-    let asked =
-        RunFolderOptions { kind: W::KIND, configuration: &text, configuration_file: SHARD_FILE, resume, outputs };
-    let opened = RunFolder::open(folder, asked).map_err(|error| match error {
-        RunFolderError::OtherConfiguration { path, kind, found } => {
-            RunFolderError::ConfigurationDiffers(difference::describe_json(&path, &kind, &found, &text))
-        }
-        other => other,
-    })?;
-    opened.write(SHARD_FILE, text)?;
-    Ok(opened)
-}
-
-/// Reads `shard.json` of a completed shard: its number, the whole run, and its parts.
-///
-/// # Errors
-/// [`RunFolderError`] if the file is not as it was written, of another version, or invalid.
-pub fn read_shard<W: Sharded>(found: &CompletedRun) -> Result<(ShardId, W, Range<u64>), RunFolderError> {
-    let text = found.read_configuration(SHARD_FILE)?;
-    let unreadable = |error| found.unreadable_error(SHARD_FILE, &error);
-    let ShardHeader { version, shard } = serde_json::from_str(&text).map_err(unreadable)?;
-    if version != W::VERSION {
-        let problem = format!("version: {version}, and this release reads {}", W::VERSION);
-        return Err(found.damaged_error(SHARD_FILE, problem));
-    }
-    let work: W = serde_json::from_str(&text).map_err(unreadable)?;
-    if let Some(problem) = work.problem() {
-        return Err(found.damaged_error(SHARD_FILE, problem));
-    }
-    let own = shard.range(work.part_count(), W::PARTS_NAME).map_err(|error| found.damaged_error(SHARD_FILE, error))?;
-    Ok((shard, work, own))
-}
 
 /// Maximum number of shards of a run.
 pub const MAX_SHARDS: u32 = 10_000;
@@ -206,7 +108,7 @@ impl FromStr for ShardId {
     }
 }
 
-/// Formats sorted numbers in the array syntax of Slurm and HyperQueue: `1,4-6`.
+/// Formats sorted numbers in the array syntax of Slurm: `1,4-6`.
 #[must_use]
 pub fn format_ranges(numbers: &[u32]) -> String {
     let mut runs: Vec<Range<u32>> = Vec::new();

@@ -93,10 +93,6 @@ pub fn any_network_with_file(seed: u64) -> (NeuralController, Vec<u8>) {
     (controller, file)
 }
 
-pub fn any_layers(inputs: usize, seed: u64) -> Vec<NetworkLayer> {
-    random_layers(inputs, &mut XorShiftRng(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)).0
-}
-
 fn random_layers(inputs: usize, numbers: &mut XorShiftRng) -> (Vec<NetworkLayer>, usize) {
     let (mut steps, mut width) = (Vec::new(), inputs);
     for depth in 0..1 + random_below(3, numbers) {

@@ -321,7 +321,6 @@ fn describe_statement(plan: &AssessmentPlan, name: &str, certificate: &Certifica
             format!("{}: {ranges}", initial_states_id(plan, name, (certificate, reach), policy).name)
         }
         Statement::Kernel(_) => "vehicles of these classes, dry road".to_owned(),
-        Statement::AdaptiveCruise(_) => "adaptive cruise control benchmark of ARCH-COMP AINNCS".to_owned(),
         _ => certificate.provenance.scenario.clone(),
     }
 }

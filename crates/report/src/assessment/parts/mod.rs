@@ -47,16 +47,14 @@ pub use map_grid::{FailureMapAxis, FixedParameter};
 pub use paper::PaperScenarios;
 pub use proofs::{EXAMPLE_MPS, KernelGap, Proofs};
 pub use provenance::{AssessmentProvenance, RunInfo};
-pub(super) use rate_certificates::{generated_certificate_names, planned_rate_counts};
+pub(super) use rate_certificates::generated_certificate_names;
 pub use sampling::{ControllerSample, PairedCounts, PercentInterval, SpaceSample, SpaceSamples};
 pub use scenario_cases::ScenarioCases;
 pub use space_descriptions::{ParameterDescription, SpaceDescription, SpaceDescriptions};
-pub(super) use specification_searches::SpecificationSearchPlan;
 pub use specification_searches::{
     SpaceSpecificationSearches, SpecificationSearch, SpecificationSearches, SpecificationViolation,
 };
 pub use string_stability::StringStabilityVerdict;
-pub(super) use suites::gather_suite as run_suite;
 pub use suites::{SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites};
 pub(super) use summary::GatheredEvidence;
 pub use summary::{ClaimRow, ClaimSummary, NameExplanation};

@@ -1,14 +1,10 @@
 //! Configuration of a campaign: everything that decides its results, and its file.
 
-use std::path::Path;
-
 use serde::{Deserialize, Serialize};
 
-use super::run::CONFIGURATION_FILE;
 use super::{CampaignError, SearchObjective};
 use crate::falsify::evaluator::Evaluator;
 use crate::falsify::{FailureCriterion, FailureCriterionRecord, Method};
-use crumple_store::disk;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{ScenarioSpace, SpaceSpec};
@@ -82,48 +78,6 @@ impl EvaluationLog {
     }
 }
 
-/// Division of a campaign that was merged from shards, if they are several searches or evaluations are missing.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct Sharding {
-    /// Number of searches by the method, each with its own seed; 1 for a reference search.
-    pub searches: u64,
-    /// Number of shards; `None` if no evaluations are missing, or if the shards are of several divisions.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub of_shards: Option<u32>,
-    /// Missing shards, if all are of one division.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub missing_shards: Vec<u32>,
-    /// Missing evaluations of each method: ranges, each by its first and its last number, from 1.
-    #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub missing_evaluations: Vec<[u64; 2]>,
-}
-
-impl Sharding {
-    /// Reads the division of the campaign in a folder; `None` for an undivided campaign or another folder.
-    #[must_use]
-    pub fn load_from_folder(folder: &Path) -> Option<Self> {
-        #[derive(Deserialize)]
-        struct Record {
-            #[serde(rename = "divided")]
-            sharding: Option<Sharding>,
-        }
-
-        let bytes = disk::read(&folder.join(CONFIGURATION_FILE), MAX_CONFIGURATION_BYTES).ok()??;
-        toml::from_str::<Record>(std::str::from_utf8(&bytes).ok()?).ok()?.sharding
-    }
-
-    /// Returns the number of missing evaluations of each method.
-    #[must_use]
-    pub fn missing_evaluation_count(&self) -> u64 {
-        let length = |[first, last]: &[u64; 2]| last.saturating_sub(*first).saturating_add(1);
-        self.missing_evaluations.iter().map(length).fold(0, u64::saturating_add)
-    }
-}
-
-/// Maximum size of a `campaign.toml` that is read.
-const MAX_CONFIGURATION_BYTES: u64 = 64 << 20;
-
 /// The file `campaign.toml`.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -145,9 +99,6 @@ pub(in crate::falsify) struct CampaignRecord {
     #[serde(default, skip_serializing_if = "EvaluationLog::is_full")]
     pub(in crate::falsify) log: EvaluationLog,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "divided")]
-    pub(in crate::falsify) sharding: Option<Sharding>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "contrast")]
     pub(in crate::falsify) failure_criterion: Option<FailureCriterionRecord>,
     pub(in crate::falsify) space: SpaceSpec,
@@ -168,7 +119,6 @@ impl CampaignRecord {
             budget: campaign.budget,
             seed: campaign.seed,
             log,
-            sharding: None,
             failure_criterion: campaign.failure_criterion.as_ref().map(FailureCriterion::to_record),
             space: campaign.space.spec().clone(),
         }

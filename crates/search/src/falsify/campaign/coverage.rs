@@ -8,13 +8,10 @@ const BINS: usize = 10;
 ///
 /// Pairs measure the combinatorial coverage (t-way coverage with t = 2): most failures need one or two particular
 /// values together, and the measure shows a search that stays in one corner.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone)]
 pub(super) struct Coverage {
     dimension: usize,
-    #[serde(with = "super::encoded::cells")]
     single: Vec<bool>,
-    #[serde(with = "super::encoded::cells")]
     pairs: Vec<bool>,
 }
 
@@ -51,11 +48,6 @@ impl Coverage {
             if cells.is_empty() { 100.0 } else { 100.0 * tried as f64 / cells.len() as f64 }
         };
         CoveragePercentages { tenths_percent: percent(&self.single), pairs_percent: percent(&self.pairs) }
-    }
-
-    pub(super) fn has_dimension(&self, dimension: usize) -> bool {
-        let empty = Self::new(dimension);
-        (self.dimension, self.single.len(), self.pairs.len()) == (dimension, empty.single.len(), empty.pairs.len())
     }
 
     pub(super) fn merge(&mut self, other: &Self) {

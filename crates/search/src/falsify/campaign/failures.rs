@@ -1,7 +1,5 @@
 //! Failures of a campaign, grouped by kind, and the choice of those that are examined.
 
-use serde::{Deserialize, Serialize};
-
 use super::EvaluatedPoint;
 use super::front::ParetoFront;
 use crate::falsify::Method;
@@ -109,8 +107,7 @@ impl FailureKind {
 }
 
 /// A failure that may be examined.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct FailureCandidate {
     /// Method that found it.
     pub method: Method,
@@ -119,13 +116,10 @@ pub struct FailureCandidate {
     /// Values, one per coordinate.
     pub values: Vec<f64>,
     /// Verdict of the simulation.
-    #[serde(with = "super::encoded::verdict")]
     pub verdict: RunVerdict,
     /// Logarithm of its density under the space's distribution, relative to the uniform density.
-    #[serde(with = "crate::falsify::non_finite")]
     pub ln_likelihood: f64,
     /// Distance from nominal in the unit cube, from 0 to 1: mean over the parameters.
-    #[serde(rename = "departure")]
     pub distance_from_nominal: f64,
 }
 
@@ -183,44 +177,6 @@ impl Failures {
         if candidate.verdict.robustness < known.severest.verdict.robustness {
             known.severest = candidate;
         }
-    }
-
-    /// Merges failures of other evaluations. `methods` are in the order of execution; of equal failures the earlier
-    /// stays.
-    pub(super) fn merge(&mut self, other: Self, methods: &[Method]) {
-        let order = |method: &Method| methods.iter().position(|known| known == method);
-        let position = |found: &FailureCandidate| (order(&found.method), found.number);
-        for candidate in other.front.failures() {
-            self.front.merge(candidate, |known| position(candidate) < position(known));
-        }
-        for kind in other.groups {
-            let Some(known) = self.groups.iter_mut().find(|known| known.kind == kind.kind) else {
-                self.groups.push(kind);
-                continue;
-            };
-            for (method, count, first) in kind.by_method {
-                match known.by_method.iter_mut().find(|(by, ..)| *by == method) {
-                    Some((_, counted, earliest)) => {
-                        (*counted, *earliest) = (counted.saturating_add(count), first.min(*earliest));
-                    }
-                    None => known.by_method.push((method, count, first)),
-                }
-            }
-            known.by_method.sort_by_key(|(method, ..)| order(method));
-            if position(&kind.first) < position(&known.first) {
-                known.first = kind.first;
-            }
-            let is_earlier = |one: &FailureCandidate, than: &FailureCandidate| position(one) < position(than);
-            let (one, than) = (&kind.likeliest, &known.likeliest);
-            if one.is_likelier_than(than) || (!than.is_likelier_than(one) && is_earlier(one, than)) {
-                known.likeliest = kind.likeliest;
-            }
-            let severity = kind.severest.verdict.robustness.total_cmp(&known.severest.verdict.robustness);
-            if severity.then_with(|| position(&kind.severest).cmp(&position(&known.severest))).is_lt() {
-                known.severest = kind.severest;
-            }
-        }
-        self.groups.sort_by_key(|kind| position(&kind.first));
     }
 
     pub(super) fn examination_candidates(&self, kinds: usize) -> Vec<&FailureCandidate> {

@@ -47,47 +47,7 @@ fn compare_likelihood(one: &FailureCandidate, other: &FailureCandidate) -> Order
 }
 
 impl ParetoFront {
-    pub(super) fn from_failures(failures: Vec<FailureCandidate>) -> Self {
-        let mut front = Self::default();
-        failures.iter().for_each(|failure| front.insert(failure, usize::MAX));
-        front
-    }
-
     pub(super) fn add(&mut self, candidate: &FailureCandidate) {
-        self.insert(candidate, MAX_FAILURES);
-    }
-
-    /// Adds a failure of another front. The result does not depend on the order; of equal failures that of the earlier
-    /// evaluation stays.
-    pub(super) fn merge(&mut self, candidate: &FailureCandidate, is_earlier: impl Fn(&FailureCandidate) -> bool) {
-        let is_equal = |known: &&mut FailureCandidate| {
-            known.verdict.robustness.total_cmp(&candidate.verdict.robustness) == Ordering::Equal
-                && compare_likelihood(known, candidate) == Ordering::Equal
-        };
-        match self.failures.iter_mut().find(is_equal) {
-            Some(known) if is_earlier(known) => *known = candidate.clone(),
-            Some(_) => {}
-            None => self.insert(candidate, usize::MAX),
-        }
-    }
-
-    /// Returns the front with at most [`MAX_FAILURES`] failures, chosen evenly along it.
-    pub(super) fn thin(mut self) -> Self {
-        let all = self.failures.len();
-        if all > MAX_FAILURES {
-            let last = all - 1;
-            let mut chosen = (0..MAX_FAILURES).map(|place| place * last / (MAX_FAILURES - 1)).peekable();
-            let mut index = 0..all;
-            self.failures.retain(|_| index.next().is_some_and(|index| chosen.next_if_eq(&index).is_some()));
-        }
-        self
-    }
-
-    pub(super) fn failures(&self) -> &[FailureCandidate] {
-        &self.failures
-    }
-
-    fn insert(&mut self, candidate: &FailureCandidate, max_failures: usize) {
         // The front is sorted by severity, so likelihood increases along it. A failure that dominates the new one is at
         // the index of the new one or before.
         let severity = |known: &FailureCandidate| known.verdict.robustness.total_cmp(&candidate.verdict.robustness);
@@ -99,7 +59,7 @@ impl ParetoFront {
         }
         let dominated = self.failures.iter().skip(place);
         let dominated = dominated.take_while(|known| compare_likelihood(known, candidate) != Ordering::Greater).count();
-        if dominated == 0 && self.failures.len() >= max_failures {
+        if dominated == 0 && self.failures.len() >= MAX_FAILURES {
             return;
         }
         self.failures.splice(place..place + dominated, [candidate.clone()]);

@@ -22,35 +22,28 @@
 
 mod config;
 mod coverage;
-mod encoded;
 mod failures;
 mod findings;
 mod front;
 mod journal;
-mod merge;
 mod objective;
-mod planning;
 mod reader;
 mod regions;
 mod resolved_config;
 mod run;
-mod shard;
 mod summarise;
 mod summary;
 mod table;
 
-pub use config::{CAMPAIGN_VERSION, Campaign, CampaignOptions, EvaluationLog, Sharding};
+pub use config::{CAMPAIGN_VERSION, Campaign, CampaignOptions, EvaluationLog};
 pub use coverage::CoveragePercentages;
-pub(in crate::falsify) use encoded::verdict as encoded_verdict;
 pub use failures::{FailureCandidate, FailureKind};
 pub use front::FrontPoint;
-pub use merge::MergedCampaign;
 pub use objective::{SearchObjective, UnknownObjective};
 pub use reader::{CampaignReader, MAX_READ_EVALUATIONS};
 pub use regions::Region;
 pub(in crate::falsify) use resolved_config::ResolvedConfig;
 pub use run::{CAMPAIGN_KIND, CampaignProgress, verify_journal};
-pub use shard::{CAMPAIGN_SHARD_KIND, ShardSummary};
 pub use summary::{
     AvoidabilitySummary, CampaignSummary, CoverageSummary, FailureKindSummary, FailuresByMethod, MethodSummary,
 };
@@ -107,18 +100,9 @@ pub enum CampaignError {
          with another --out"
     )]
     NoIdentity(String),
-    /// The controller has no identity, so shards with it cannot be merged.
-    #[error("the controller `{0}` states no identity, so crumple cannot check that shards belong together")]
-    NoIdentityInShards(String),
-    /// The method of a divided campaign is not built in.
-    #[error("the search method `{0}` is not built in, so its campaign cannot be divided into shards")]
-    CustomMethodInShards(String),
     /// The search method proposed no points, or points outside the unit cube.
     #[error("the search method `{0}` must propose points of the unit cube, at least one each time")]
     InvalidPoints(String),
-    /// There are more shards than evaluations.
-    #[error(transparent)]
-    Shards(#[from] crumple_store::shard::TooManyShards),
     /// No vehicle of the space is under test.
     #[error("the space `{0}` has no vehicle under test")]
     NoVehicleUnderTest(String),

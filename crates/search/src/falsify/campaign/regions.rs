@@ -8,10 +8,10 @@ const MAX_DEPTH: usize = 3;
 const THRESHOLD_COUNT: usize = 15;
 const MIN_SHARE: f64 = 0.02;
 /// Maximum number of points for the tree: the first ones, which represent both reference searches.
-pub(super) const MAX_POINTS: usize = 40_000;
+const MAX_POINTS: usize = 40_000;
 
 /// Points of the reference searches, with true for a failure. Even spread makes shares of points shares of the space.
-#[derive(Debug, Default)]
+#[derive(Debug, Clone, Default)]
 pub(super) struct LabelledPoints {
     points: Vec<(Vec<f64>, bool)>,
 }
@@ -37,9 +37,7 @@ pub struct Region {
 
 impl LabelledPoints {
     pub(super) fn add(&mut self, values: Vec<f64>, fails: bool) {
-        if !self.is_full() {
-            self.points.push((values, fails));
-        }
+        self.points.push((values, fails));
     }
 
     pub(super) fn is_full(&self) -> bool {

@@ -30,13 +30,6 @@ impl ResolvedConfig {
         Self::resolve(record, !is_deterministic, campaign.space.clone(), |_| Ok(campaign.specification.clone()))
     }
 
-    pub(super) fn from_shard_record(record: CampaignRecord, nondeterministic: bool) -> Result<Self, String> {
-        if record.sharding.is_some() || !(1..=MAX_BUDGET).contains(&record.budget) {
-            return Err("not a campaign that can be divided into shards".to_owned());
-        }
-        Self::from_record(record, nondeterministic)
-    }
-
     pub(super) fn from_record(record: CampaignRecord, nondeterministic: bool) -> Result<Self, String> {
         if record.version != CAMPAIGN_VERSION {
             return Err(format!("version: {} is not supported: this release reads {CAMPAIGN_VERSION}", record.version));
@@ -86,5 +79,3 @@ impl ResolvedConfig {
         self.cube.distance(point, &self.nominal_point) / self.cube.blocks().len() as f64
     }
 }
-
-pub(super) const MAX_BUDGET: u64 = 1_000_000_000;

@@ -1,6 +1,5 @@
 //! Running a campaign, from its first evaluation to its summary.
 
-use std::ops::Range;
 use std::path::Path;
 
 use super::findings::{CampaignFindings, MethodResults};
@@ -46,8 +45,6 @@ pub(super) struct CampaignRun<'a> {
     pub(super) journal: Journal,
     pub(super) table: Option<EvaluationTable<'a>>,
     pub(super) findings: CampaignFindings,
-    /// Evaluations of each method, counted from 0.
-    pub(super) evaluation_range: Range<u64>,
 }
 
 impl Campaign {
@@ -79,7 +76,6 @@ impl Campaign {
             journal: Journal::open_in_folder(&work, JOURNAL_FILE, resume)?,
             table: (log == EvaluationLog::Full).then(|| EvaluationTable::new(&terms.space, &work)),
             findings: CampaignFindings::new(&terms),
-            evaluation_range: 0..self.budget,
         };
         searching.search_all(observer)?;
         searching.find_unanswered_reasons()?;
@@ -87,7 +83,7 @@ impl Campaign {
         // The journal stays until all results are written.
         let mut results = work.transaction();
         table.take().map_or(Ok(()), |table| table.finish(&mut results))?;
-        let progress = campaign_progress(None, &findings.method_results, self.total_evaluations(&(0..self.budget)));
+        let progress = campaign_progress(None, &findings.method_results, self.total_evaluations());
         observer.notify(&progress)?;
         let (examiner, recorder) = (Examiner::new(self, &terms), Recorder { config: &terms });
         let mut distinct = recorder
@@ -95,7 +91,7 @@ impl Campaign {
         examiner.classify_all(&mut distinct);
         self.ensure_all_trusted()?;
         let counterexamples = recorder.record_all(&distinct, &mut results)?;
-        let summary = CampaignSummary::from_findings(&terms, findings, counterexamples, &[])?;
+        let summary = CampaignSummary::from_findings(&terms, findings, counterexamples)?;
         observer.notify(&progress)?;
         results
             .write(SUMMARY_TEXT_FILE, summary.to_text())
@@ -106,8 +102,8 @@ impl Campaign {
         Ok(summary)
     }
 
-    fn total_evaluations(&self, part: &Range<u64>) -> u64 {
-        (part.end - part.start).saturating_mul(self.methods().len() as u64)
+    fn total_evaluations(&self) -> u64 {
+        self.budget.saturating_mul(self.methods().len() as u64)
     }
 
     /// Checks everything that would fail at every point, before any file is written.
@@ -162,11 +158,7 @@ impl CampaignRun<'_> {
     }
 
     pub(super) fn progress(&self, current: Option<&MethodResults>) -> CampaignProgress {
-        campaign_progress(
-            current,
-            &self.findings.method_results,
-            self.campaign.total_evaluations(&self.evaluation_range),
-        )
+        campaign_progress(current, &self.findings.method_results, self.campaign.total_evaluations())
     }
 
     fn search(
@@ -175,9 +167,9 @@ impl CampaignRun<'_> {
         observer: &dyn Observer<CampaignProgress>,
     ) -> Result<MethodResults, CampaignError> {
         let (terms, space) = (self.config, &self.config.space);
-        let mut search = method.start_after(self.evaluation_range.start, &terms.cube, terms.record.seed);
+        let mut search = method.start(&terms.cube, terms.record.seed);
         let mut reached = MethodResults::new(method.clone(), space.dimension());
-        let budget = self.evaluation_range.end - self.evaluation_range.start;
+        let budget = self.campaign.budget;
         while reached.evaluations < budget {
             let mut points = search.ask();
             if method.is_non_adaptive() {
@@ -205,7 +197,7 @@ impl CampaignRun<'_> {
             }
             let mut costs = Vec::with_capacity(points.len());
             for (point, verdict) in points.into_iter().zip(verdicts) {
-                let number = self.evaluation_range.start + reached.evaluations + 1;
+                let number = reached.evaluations + 1;
                 let evaluated = terms.evaluated_point(number, point, verdict);
                 costs.push(self.campaign.objective.cost(&evaluated));
                 self.findings.add(&mut reached, &evaluated);

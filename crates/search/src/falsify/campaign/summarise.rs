@@ -1,7 +1,5 @@
 //! Creation of a summary from findings.
 
-use std::ops::Range;
-
 use super::CampaignError;
 use super::coverage::Coverage;
 use super::failures::FailureGroup;
@@ -17,14 +15,13 @@ use crumple_core::digest::sha256;
 use crumple_world::sim::FailedControllerRuns;
 
 impl CampaignSummary {
-    /// Creates the summary from findings and the recorded distinct failures. Evaluations may be missing.
+    /// Creates the summary from findings and the recorded distinct failures.
     pub(super) fn from_findings(
         terms: &ResolvedConfig,
         findings: &CampaignFindings,
         counterexamples: Vec<Counterexample>,
-        missing: &[Range<u64>],
     ) -> Result<Self, CampaignError> {
-        let CampaignFindings { method_results: reached, failures } = findings;
+        let CampaignFindings { method_results: reached, failures, sample } = findings;
         let record = &terms.record;
         let mut all = Coverage::new(terms.space.dimension());
         reached.iter().for_each(|reached| all.merge(&reached.coverage));
@@ -44,7 +41,6 @@ impl CampaignSummary {
             objective: record.objective.name().to_owned(),
             budget: record.budget,
             seed: record.seed,
-            sharding: record.sharding.clone(),
             evaluations: main.map_or(0, |reached| reached.evaluations),
             falsified: reached.iter().any(|reached| reached.failures > 0),
             first_falsification: main.and_then(|reached| reached.first),
@@ -63,7 +59,7 @@ impl CampaignSummary {
                 .map(|kind| FailureKindSummary::from_failures(kind, terms, &counterexamples))
                 .collect(),
             front: failures.front.points(&terms.specification, &terms.nominal),
-            regions: findings.find_regions(terms, missing),
+            regions: sample.find_regions(&terms.space),
             avoidability: AvoidabilitySummary::from_counterexamples(&counterexamples),
             counterexamples,
         })

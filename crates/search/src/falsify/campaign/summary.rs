@@ -4,18 +4,15 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use super::{CampaignError, CoveragePercentages, FrontPoint, Region, SearchObjective, Sharding};
+use super::{CampaignError, CoveragePercentages, FrontPoint, Region, SearchObjective};
 use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_core::quoting::TerminalText;
-use crumple_store::shard::format_ranges;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::FailedControllerRuns;
 
 pub(super) const SUMMARY_VERSION: u32 = 1;
-
-const MAX_SHOWN_RANGES: usize = 20;
 
 /// Results of a campaign.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -53,10 +50,6 @@ pub struct CampaignSummary {
     pub budget: u64,
     /// Seed of the search and of all noise.
     pub seed: u64,
-    /// Division of a campaign that was merged from shards, if it differs from the undivided campaign.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "divided")]
-    pub sharding: Option<Sharding>,
     /// Evaluations of the requested method.
     pub evaluations: u64,
     /// True if any method found a failure.
@@ -86,25 +79,6 @@ pub struct CampaignSummary {
 
 fn default_objective() -> String {
     SearchObjective::default().name().to_owned()
-}
-
-impl Sharding {
-    fn write(&self, out: &mut String, method: &str) -> std::fmt::Result {
-        if self.searches > 1 {
-            writeln!(out, "  combined from {} searches by {method}, each with a different seed", self.searches)?;
-        }
-        if let (Some(of), false) = (self.of_shards, self.missing_shards.is_empty()) {
-            writeln!(out, "  INCOMPLETE: missing of {of} shards: {}", format_ranges(&self.missing_shards))?;
-        } else {
-            for [first, last] in self.missing_evaluations.iter().take(MAX_SHOWN_RANGES) {
-                writeln!(out, "  INCOMPLETE: evaluations {first} to {last} of each method are missing")?;
-            }
-            if let Some(more @ 1..) = self.missing_evaluations.len().checked_sub(MAX_SHOWN_RANGES) {
-                writeln!(out, "  and {more} more ranges, in summary.json")?;
-            }
-        }
-        Ok(())
-    }
 }
 
 /// Numbers of distinct failures by avoidability.
@@ -308,9 +282,6 @@ impl CampaignSummary {
                 out,
                 "  the controller declares that it is not deterministic: the same campaign may have other results"
             )?;
-        }
-        if let Some(divided) = &self.sharding {
-            divided.write(out, &self.method)?;
         }
         if self.falsified {
             let failures = if self.counterexamples.len() == 1 { "failure" } else { "failures" };

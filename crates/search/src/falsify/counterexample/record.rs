@@ -1,9 +1,5 @@
 //! Conversion of examined failures to counterexamples and their files, without simulation.
 
-use std::path::Path;
-
-use serde::{Deserialize, Serialize};
-
 use super::expected::{EXPECTED_VERSION, ExpectedFile, ExpectedVerdict};
 use super::severity::Severity;
 use super::{Avoidability, AvoidabilityAnalysis, ChangedParameter, Counterexample};
@@ -37,83 +33,6 @@ pub(in crate::falsify) struct ExaminedFailure {
     pub(super) analysis: AvoidabilityAnalysis,
 }
 
-/// An [`ExaminedFailure`] in a file.
-#[derive(Debug, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub(in crate::falsify) struct ExaminedFailureRecord {
-    method: Method,
-    number: u64,
-    values: Vec<f64>,
-    scenario: String,
-    original: String,
-    #[serde(with = "crate::falsify::campaign::encoded_verdict")]
-    verdict: RunVerdict,
-    #[serde(with = "crate::falsify::campaign::encoded_verdict")]
-    original_verdict: RunVerdict,
-    dt_fragile: bool,
-    max_delta_v_mps: Option<f64>,
-    vehicles_involved: usize,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    because: Option<String>,
-    avoidability: Avoidability,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    escape: Option<String>,
-}
-
-impl ExaminedFailureRecord {
-    pub(in crate::falsify) fn from_examined(one: &ExaminedFailure) -> Result<Self, CampaignError> {
-        let text = |scenario: &Scenario| file::to_toml(scenario).map_err(CampaignError::from_encoding_error);
-        Ok(Self {
-            method: one.method.clone(),
-            number: one.number,
-            values: one.values.clone(),
-            scenario: text(&one.scenario)?,
-            original: text(&one.original)?,
-            verdict: one.verdict,
-            original_verdict: one.original_verdict,
-            dt_fragile: one.dt_fragile,
-            max_delta_v_mps: one.max_delta_v_mps,
-            vehicles_involved: one.vehicles_involved,
-            because: one.because.clone(),
-            avoidability: one.analysis.avoidability.clone(),
-            escape: one.analysis.escape.as_ref().map(text).transpose()?,
-        })
-    }
-
-    pub(in crate::falsify) fn evaluation_id(&self) -> (Method, u64) {
-        (self.method.clone(), self.number)
-    }
-
-    /// Restores the failure, or returns an error if the record is inconsistent.
-    pub(in crate::falsify) fn into_examined(self, terms: &ResolvedConfig) -> Result<ExaminedFailure, String> {
-        let place = format!("the failure at evaluation {} of {}", self.number, self.method);
-        let scenario =
-            |text: &str| file::from_toml(text, Path::new("scenario")).map_err(|error| format!("{place}: {error}"));
-        let kind = |verdict: &RunVerdict| FailureKind::from_verdict(verdict, &terms.specification);
-        match kind(&self.original_verdict) {
-            Some(found) if terms.space.contains(&self.values) => Ok(ExaminedFailure {
-                method: self.method,
-                number: self.number,
-                kind: found,
-                scenario: scenario(&self.scenario)?,
-                original: scenario(&self.original)?,
-                values: self.values,
-                verdict: self.verdict,
-                original_verdict: self.original_verdict,
-                dt_fragile: self.dt_fragile,
-                max_delta_v_mps: self.max_delta_v_mps,
-                vehicles_involved: self.vehicles_involved,
-                because: self.because,
-                analysis: AvoidabilityAnalysis {
-                    avoidability: self.avoidability,
-                    escape: self.escape.as_deref().map(scenario).transpose()?,
-                },
-            }),
-            _ => Err(format!("{place} is not a failure, or belongs to another space")),
-        }
-    }
-}
-
 /// Selects distinct failures of a campaign and records them.
 pub(in crate::falsify) struct Recorder<'a> {
     pub(in crate::falsify) config: &'a ResolvedConfig,
@@ -138,24 +57,6 @@ impl Recorder<'_> {
         distinct: &[ExaminedFailure],
         results: &mut FolderTransaction<'_>,
     ) -> Result<Vec<Counterexample>, CampaignError> {
-        let (found, files) = self.counterexamples_and_files(distinct)?;
-        for (name, text) in files {
-            results.write(&name, text);
-        }
-        Ok(found)
-    }
-
-    pub(in crate::falsify) fn describe_all(
-        &self,
-        distinct: &[ExaminedFailure],
-    ) -> Result<Vec<Counterexample>, CampaignError> {
-        Ok(self.counterexamples_and_files(distinct)?.0)
-    }
-
-    fn counterexamples_and_files(
-        &self,
-        distinct: &[ExaminedFailure],
-    ) -> Result<(Vec<Counterexample>, FileContents), CampaignError> {
         let mut index = ExpectedFile { version: EXPECTED_VERSION, expected: Vec::new() };
         let (mut found, mut files) = (Vec::new(), Vec::new());
         for (place, one) in (1..).zip(distinct) {
@@ -166,7 +67,10 @@ impl Recorder<'_> {
             let text = toml::to_string(&index).map_err(CampaignError::from_encoding_error)?;
             files.insert(0, (format!("counterexamples/{}", file::EXPECTED_FILE_NAME), text));
         }
-        Ok((found, files))
+        for (name, text) in files {
+            results.write(&name, text);
+        }
+        Ok(found)
     }
 
     fn severity(&self, one: &ExaminedFailure) -> Severity {

@@ -1,26 +1,30 @@
 //! Independent replay: a second, plain implementation of the model, and the naive monitor.
 
-use super::{ChasingCarsError, ChasingCarsInputs, FINER_STEP_DIVISOR, STEP_S};
+use crate::ExperimentError;
+use crate::work::chasing_cars::{ChasingCarsInputs, STEP_S};
 use crumple_world::measure::stl::{Formula, SampledSignals, naive_robustness};
+
+/// Ratio of the step to the finer step. Guards are checked per step, so violations may depend on it.
+const FINER_STEP_DIVISOR: usize = 5;
 
 /// Returns the robustness by an independent model and the naive monitor, which are orders of magnitude slower.
 ///
 /// # Errors
-/// [`ChasingCarsError`] if the formula does not fit the model.
-pub(crate) fn replayed_robustness(formula: &Formula, inputs: &ChasingCarsInputs) -> Result<f64, ChasingCarsError> {
+/// An error if the formula does not fit the model.
+pub(super) fn replayed_robustness(formula: &Formula, inputs: &ChasingCarsInputs) -> Result<f64, ExperimentError> {
     Ok(naive_robustness(formula, &replay(inputs, 1)?, 0)?)
 }
 
 /// Returns the robustness by the independent model at a step that is [`FINER_STEP_DIVISOR`] times as fine.
 ///
 /// # Errors
-/// [`ChasingCarsError`] if the formula does not fit the model.
-pub(crate) fn finer_robustness(formula: &Formula, inputs: &ChasingCarsInputs) -> Result<f64, ChasingCarsError> {
+/// An error if the formula does not fit the model.
+pub(super) fn finer_robustness(formula: &Formula, inputs: &ChasingCarsInputs) -> Result<f64, ExperimentError> {
     Ok(formula.robustness(&replay(inputs, FINER_STEP_DIVISOR)?)?)
 }
 
 /// Returns the positions, simulated with `finer` steps per [`STEP_S`].
-fn replay(inputs: &ChasingCarsInputs, finer: usize) -> Result<SampledSignals<'static>, ChasingCarsError> {
+fn replay(inputs: &ChasingCarsInputs, finer: usize) -> Result<SampledSignals<'static>, ExperimentError> {
     let step_s = STEP_S / finer as f64;
     let mut cars: Vec<ReplayCar> =
         (0..5).map(|i| ReplayCar { y: 10.0 * f64::from(i), v: 0.0, mode: "keeping" }).collect();
@@ -93,8 +97,8 @@ impl ReplayCar {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{SPECIFICATIONS, robustness};
     use super::*;
+    use crate::work::chasing_cars::{SPECIFICATIONS, robustness};
     use crumple_world::random::{Purpose, stream};
     use rand::RngExt;
 
