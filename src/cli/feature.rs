@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use super::CliError;
 use crumple_report::draw::Svg;
+use crumple_world::sim::Trace;
 
 #[derive(Serialize)]
 pub(super) struct Feature {
@@ -14,10 +15,12 @@ pub(super) struct Feature {
 
 pub(super) const EXPLORE: Feature =
     Feature { name: "explore", used_for: "`crumple explore`", enabled: cfg!(feature = "explore") };
+pub(super) const PARQUET: Feature =
+    Feature { name: "parquet", used_for: "traces as Parquet files", enabled: cfg!(feature = "parquet") };
 pub(super) const PNG: Feature =
     Feature { name: "png", used_for: "figures as PNG files", enabled: cfg!(feature = "png") };
 
-pub(super) const FEATURES: [Feature; 2] = [EXPLORE, PNG];
+pub(super) const FEATURES: [Feature; 3] = [EXPLORE, PARQUET, PNG];
 
 impl Feature {
     /// Returns the command that installs crumple with the feature, from a clone.
@@ -47,6 +50,7 @@ impl Feature {
 /// Returns the text of [`Feature::require`] for a feature that this build lacks.
 pub(super) fn require_format(extension: &str) -> Result<(), String> {
     match extension {
+        "parquet" => PARQUET.require(),
         "png" => PNG.require(),
         _ => Ok(()),
     }
@@ -64,4 +68,18 @@ pub(super) fn render_png(figure: &Svg) -> Result<Vec<u8>, CliError> {
 #[cfg(not(feature = "png"))]
 pub(super) fn render_png(_: &Svg) -> Result<Vec<u8>, CliError> {
     PNG.require().map_err(CliError::Input).map(|()| Vec::new())
+}
+
+/// Encodes a trace as Parquet.
+///
+/// # Errors
+/// [`CliError::Input`] if the trace cannot be encoded, or this build lacks the feature `parquet`.
+#[cfg(feature = "parquet")]
+pub(super) fn encode_parquet(trace: &Trace) -> Result<Vec<u8>, CliError> {
+    crumple_report::export::to_parquet(trace).map_err(CliError::input)
+}
+
+#[cfg(not(feature = "parquet"))]
+pub(super) fn encode_parquet(_: &Trace) -> Result<Vec<u8>, CliError> {
+    PARQUET.require().map_err(CliError::Input).map(|()| Vec::new())
 }

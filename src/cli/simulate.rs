@@ -68,7 +68,11 @@ pub(super) struct Simulate {
     #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| parse_path_ending_in(path, ["svg", "png"]))]
     plot: Option<PathBuf>,
     /// Write the motion as a table, one row per sample and vehicle; replaces an existing file
-    #[arg(long, value_name = "F.csv", value_parser = |path: &str| parse_path_ending_in(path, ["csv"]))]
+    #[arg(
+        long,
+        value_name = "F.csv|F.parquet",
+        value_parser = |path: &str| parse_path_ending_in(path, ["csv", "parquet"])
+    )]
     trace: Option<PathBuf>,
     /// Evaluate a specification and its robustness: `no contact`, or a formula of signal temporal logic; may be
     /// repeated
@@ -204,7 +208,11 @@ impl Simulate {
                 files.push((path_for_scenario(path, name), figure));
             }
             if let Some(path) = &self.trace {
-                files.push((path_for_scenario(path, name), export::to_csv(trace).map_err(CliError::input)?));
+                let table = match extension(path) {
+                    Some("csv") => export::to_csv(trace).map_err(CliError::input),
+                    _ => feature::encode_parquet(trace),
+                };
+                files.push((path_for_scenario(path, name), table?));
             }
         }
         Ok(RenderedRun {
@@ -328,11 +336,12 @@ pub(super) fn render_motion_figure(
     }
 }
 
-/// Parses a path with one of these extensions, in a format that this build writes.
-pub(super) fn parse_path_ending_in<const N: usize>(path: &str, extensions: [&str; N]) -> Result<PathBuf, String> {
+/// Parses a path with one of two extensions, in a format that this build writes.
+pub(super) fn parse_path_ending_in(path: &str, extensions: [&str; 2]) -> Result<PathBuf, String> {
+    let [one, other] = extensions;
     match extension(Path::new(path)) {
         Some(found) if extensions.contains(&found) => feature::require_format(found).map(|()| PathBuf::from(path)),
-        _ => Err(format!("must end in {}", extensions.map(|extension| format!(".{extension}")).join(" or "))),
+        _ => Err(format!("must end in .{one} or .{other}")),
     }
 }
 

@@ -228,8 +228,11 @@ fn unnecessary_braking_is_reported_and_decides_usefulness() {
 fn traces_have_one_row_a_sample_and_vehicle() {
     let folder = temp_folder();
     for (after_contact, samples) in [("stop", None), ("continue", Some(1501))] {
-        let arguments = format!("simulate paper-1 --after-contact {after_contact} --trace trace.csv --format json");
-        let reports = json_objects(&run_ok(folder.path(), &arguments));
+        let mut reports = Vec::new();
+        for file in TRACES {
+            let arguments = format!("simulate paper-1 --after-contact {after_contact} --trace {file} --format json");
+            reports = json_objects(&run_ok(folder.path(), &arguments));
+        }
         let contact_s = reports[0]["outcome"]["time_s"].as_f64().unwrap();
         let samples = samples.unwrap_or((contact_s / 0.01).ceil() as usize + 1);
         let mut csv = csv::Reader::from_path(folder.path().join("trace.csv")).unwrap();
@@ -241,9 +244,16 @@ fn traces_have_one_row_a_sample_and_vehicle() {
         assert_eq!(rows.len(), samples * 3);
         let end_s = if after_contact == "stop" { contact_s } else { 15.0 };
         assert_eq!(rows.last().unwrap()[0].parse::<f64>().unwrap(), end_s);
+        // `crumple-report` compares the rows of both formats.
+        if TRACES.len() > 1 {
+            let parquet = fs::read(folder.path().join("trace.parquet")).unwrap();
+            assert!(parquet.starts_with(b"PAR1") && parquet.ends_with(b"PAR1"));
+        }
     }
-    assert_eq!(file_names_in(folder.path()), ["trace.csv"], "nothing else is left behind");
+    assert_eq!(file_names_in(folder.path()), TRACES, "nothing else is left behind");
 }
+
+const TRACES: &[&str] = if cfg!(feature = "parquet") { &["trace.csv", "trace.parquet"] } else { &["trace.csv"] };
 
 #[test]
 fn plots_match_their_file_names() {
@@ -264,6 +274,7 @@ fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
     for (feature, enabled, arguments) in [
         ("png", cfg!(feature = "png"), "simulate paper-1 --plot p.png"),
         ("png", cfg!(feature = "png"), "suite map cut-in-gap --cells 2x2 --out m.png"),
+        ("parquet", cfg!(feature = "parquet"), "simulate paper-1 --trace t.parquet"),
     ] {
         let listed = doctor[0]["features"].as_array().unwrap().iter().find(|listed| listed["name"] == feature).unwrap();
         assert_eq!(listed["enabled"], enabled);
@@ -275,7 +286,7 @@ fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
             false => assert_refused(&output, &command),
         }
     }
-    assert_eq!(file_names_in(folder.path()).is_empty(), cfg!(not(feature = "png")));
+    assert_eq!(file_names_in(folder.path()).is_empty(), cfg!(not(any(feature = "png", feature = "parquet"))));
 }
 
 #[test]
