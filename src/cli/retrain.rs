@@ -1,6 +1,8 @@
 //! `crumple retrain`: retrains a policy on counterexamples of a search.
 
 use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
 
 use clap::{Args, value_parser};
 use indicatif::ProgressBar;
@@ -11,7 +13,7 @@ use super::{CliError, args, interrupt, output, progress};
 use crumple_core::observer::Listener;
 use crumple_learn::retrain::{
     Checkpoint, RetrainError, RetrainingPlan, RetrainingProgress, RetrainingReport, RetrainingSettings, Round,
-    training_preset,
+    SearchedSpaces, training_preset,
 };
 use crumple_learn::rl::TrainingConfig;
 use crumple_report::figures::{RetrainingRound, SelectedCheckpoint, draw_retraining};
@@ -43,13 +45,14 @@ pub(super) struct Retrain {
     /// Initial policy: `policy`, or a policy file
     #[arg(long, value_name = "P", default_value = "policy", value_parser = args::parse_own_policy)]
     policy: NamedController,
-    /// Scenario space for searches and random scenarios: built-in (see `crumple list spaces`) or a file
-    #[arg(long, value_name = "S", default_value = "high-risk", value_parser = args::parse_space)]
-    space: (String, ScenarioSpace),
-    /// Training preset: `retrain`, a preset of `crumple train`, or a TOML file like theirs, whose spaces are ignored
-    /// but must exist
-    #[arg(long, value_name = "PRESET", default_value = "retrain")]
-    preset: String,
+    /// Scenario space for searches and random scenarios: built-in (see `crumple list spaces`) or a file; may be
+    /// repeated [default: the spaces of the preset, or `high-risk` if it has none]
+    #[arg(long, value_name = "S")]
+    space: Vec<String>,
+    /// Training preset: `retrain`, a preset of `crumple train`, or a TOML file like theirs
+    /// [default: `road` for a policy made by imitation, otherwise `retrain`]
+    #[arg(long, value_name = "PRESET")]
+    preset: Option<String>,
     /// Maximum number of rounds: 1 to 99
     #[arg(
         long,
@@ -143,14 +146,26 @@ impl Retrain {
         let first = first.ok_or_else(|| {
             CliError::Input(format!("--policy: `{name}` cannot be retrained; use a policy that `crumple train` wrote"))
         })?;
+        let imitates = first.header().training.get("imitation").is_some();
+        let preset = self.preset.as_deref().unwrap_or(if imitates { "road" } else { RETRAIN_PRESET_NAMES[0] });
+        let training = load_training_config(preset)?;
+        let mut spaces = self.space;
+        if spaces.is_empty() {
+            spaces.extend(training.spaces.iter().map(|space| space.space.clone()));
+        }
+        if spaces.is_empty() {
+            spaces.push("high-risk".to_owned());
+        }
+        let spaces = SearchedSpaces::new(load_spaces("--space", &spaces)?);
+        let spaces = spaces.ok_or_else(|| CliError::Input("--space: there is no space".to_owned()))?;
         let regression_spaces = load_regression_spaces(&self.regression)?;
         let regression = if regression_spaces.is_empty() { 0 } else { self.regression_draws };
         let plan = RetrainingPlan {
             initial_policy: first,
             initial_policy_name: name.clone(),
-            space: self.space.1,
+            spaces,
             regression_spaces,
-            training: load_training_config(&self.preset)?,
+            training,
             method: self.method,
             seed: self.seed,
             settings: RetrainingSettings {
@@ -170,10 +185,12 @@ impl Retrain {
         interrupt::set_resume_message("the results so far are in", &self.out, quiet);
         output::note_nothing_to_resume(self.resume, &self.out, quiet);
         let bar = progress::status_line(quiet);
-        let report =
-            plan.run(&self.out, self.resume, &Listener(|state: &RetrainingProgress| show_progress(&bar, state)));
+        let line = Mutex::new(ProgressLine { bar: &bar, rounds: self.rounds, step: None });
+        let show = |state: &RetrainingProgress| line.lock().unwrap_or_else(PoisonError::into_inner).show(state);
+        let report = plan.run(&self.out, self.resume, &Listener(show));
         bar.finish_and_clear();
-        let report = report.map_err(|error| with_preset_name(error, &self.preset))?;
+        let report = report.map_err(|error| with_preset_name(error, preset))?;
+        output::note(&report.ending_sentence(), quiet);
         output::note(&format!("wrote {out} (policy.safetensors, corpora, report.md, report.json)"), quiet);
         let printed = output::print_result(self.format, &report, || report.to_markdown());
         CliError::gate_first(check_accepted(&report), printed)
@@ -210,6 +227,10 @@ fn render_report_figure(report: &RetrainingReport) -> String {
 }
 
 fn check_accepted(report: &RetrainingReport) -> Result<(), CliError> {
+    let collisions = &report.retrained_results.paper;
+    if !collisions.is_empty() {
+        return Err(CliError::Gate(format!("seed {}: the policy collides in {}", report.seed, collisions.join(", "))));
+    }
     if report.rounds.is_empty() || report.is_retrained() {
         return Ok(());
     }
@@ -226,51 +247,90 @@ fn load_regression_spaces(names: &[String]) -> Result<Vec<ScenarioSpace>, CliErr
             _ => Err(CliError::Input("--regression: `none` cannot be combined with spaces".to_owned())),
         };
     }
-    if names.len() > MAX_REGRESSION_SPACES {
-        return Err(CliError::Input(format!("--regression: at most {MAX_REGRESSION_SPACES} spaces")));
+    load_spaces("--regression", names)
+}
+
+/// Loads the spaces of a repeated option.
+fn load_spaces(option: &str, names: &[String]) -> Result<Vec<ScenarioSpace>, CliError> {
+    if names.len() > MAX_SPACES {
+        return Err(CliError::Input(format!("{option}: at most {MAX_SPACES} spaces")));
     }
     let mut spaces: Vec<ScenarioSpace> = Vec::new();
     for name in names {
-        let (_, space) = args::parse_space(name).map_err(|error| CliError::Input(format!("--regression: {error}")))?;
+        let (_, space) = args::parse_space(name).map_err(|error| CliError::Input(format!("{option}: {error}")))?;
         if spaces.iter().any(|known| known.name() == space.name()) {
-            return Err(CliError::Input(format!("--regression: two spaces have the name `{}`", space.name())));
+            return Err(CliError::Input(format!("{option}: two spaces have the name `{}`", space.name())));
         }
         spaces.push(space);
     }
     Ok(spaces)
 }
 
-const MAX_REGRESSION_SPACES: usize = 32;
+const MAX_SPACES: usize = 32;
 
 fn load_training_config(name: &str) -> Result<TrainingConfig, CliError> {
     if RETRAIN_PRESET_NAMES.contains(&name) {
         return training_preset().map_err(CliError::input);
     }
-    // Its scenario spaces must exist although they are not used here: anything else is a mistake.
     TrainingPreset::find_with_own(RETRAIN_PRESET_NAMES[0], name)?.into_checked_config()
 }
 
-fn show_progress(bar: &ProgressBar, state: &RetrainingProgress) {
-    bar.set_message(match state {
-        RetrainingProgress::Gathering { file: what, done, wanted } => {
-            format!("{what}: {done} of {wanted} avoidable random scenarios")
-        }
-        RetrainingProgress::Searching { round, progress: state } => match &state.method {
-            Some(method) => format!(
-                "round {round}: {method}, {} of {} runs, {} failures",
-                state.evaluations, state.total, state.failures
-            ),
-            None => format!("round {round}: {} failures; replaying, shrinking and classifying", state.failures),
-        },
-        RetrainingProgress::SimulatingDraws { round, draws } => {
-            format!("round {round}: simulating {draws} random scenarios, classifying collisions")
-        }
-        RetrainingProgress::Training { round, episode, episodes, fewest_contacts: fewest } => {
-            let fewest =
-                fewest.map_or("no checkpoint yet".to_owned(), |fewest| format!("best checkpoint {fewest} collisions"));
-            format!("round {round}: episode {episode} of {episodes}, {fewest}")
-        }
-        RetrainingProgress::Evaluating { round } => format!("round {round}: evaluating the candidate"),
-    });
-    bar.tick();
+/// Progress on a terminal, with the time that is left of a step: of a corpus, or of all rounds.
+struct ProgressLine<'a> {
+    bar: &'a ProgressBar,
+    rounds: u64,
+    /// Name of the step, its beginning, and the share of it that was done then.
+    step: Option<(&'static str, Instant, f64)>,
+}
+
+impl ProgressLine<'_> {
+    fn show(&mut self, state: &RetrainingProgress) {
+        let share = |done: u64, total: u64| done as f64 / total.max(1) as f64;
+        // The search counts as half of a round.
+        let of_rounds = |round: u64, part: f64| ("rounds", (round as f64 - 1.0 + part) / self.rounds as f64);
+        let ((step, part), message) = match state {
+            RetrainingProgress::Gathering { file, done, wanted } => {
+                ((*file, share(*done, *wanted)), format!("{file}: {done} of {wanted} avoidable random scenarios"))
+            }
+            RetrainingProgress::SimulatingDraws { round, draws } => {
+                let message = format!("round {round}: simulating {draws} random scenarios, classifying collisions");
+                (of_rounds(*round, 0.0), message)
+            }
+            RetrainingProgress::Searching { round, space, space_index: [index, spaces], progress: state } => {
+                let part = (*index as f64 + share(state.evaluations, state.total)) / *spaces as f64;
+                let message = match &state.method {
+                    Some(method) => format!(
+                        "round {round}: {method} in {space}, {} of {} runs, {} failures",
+                        state.evaluations, state.total, state.failures
+                    ),
+                    None => format!(
+                        "round {round}: {} failures in {space}; replaying, shrinking and classifying",
+                        state.failures
+                    ),
+                };
+                (of_rounds(*round, 0.5 * part), message)
+            }
+            RetrainingProgress::Imitating { round, imitation } => {
+                let part = 0.5 + 0.5 * share(imitation.round.into(), imitation.rounds.into());
+                let message = format!("round {round}: imitation {} of {}", imitation.round, imitation.rounds);
+                (of_rounds(*round, part), message)
+            }
+            RetrainingProgress::Training { round, episode, episodes, fewest_contacts } => {
+                let fewest = fewest_contacts
+                    .map_or("no checkpoint yet".to_owned(), |fewest| format!("best checkpoint {fewest} collisions"));
+                let message = format!("round {round}: episode {episode} of {episodes}, {fewest}");
+                (of_rounds(*round, 0.5 + 0.5 * share(*episode, *episodes)), message)
+            }
+            RetrainingProgress::Evaluating { round } => {
+                (of_rounds(*round, 1.0), format!("round {round}: evaluating the candidate"))
+            }
+        };
+        let (_, begin, from) = match self.step {
+            Some(known) if known.0 == step => known,
+            _ => *self.step.insert((step, Instant::now(), part)),
+        };
+        let left = progress::format_time_left(begin.elapsed(), part - from, 1.0 - from);
+        self.bar.set_message(format!("{message}{left}"));
+        self.bar.tick();
+    }
 }

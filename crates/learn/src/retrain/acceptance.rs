@@ -6,11 +6,12 @@ use serde::{Deserialize, Serialize};
 
 use super::RegressionResults;
 use super::regression_spaces::SIGNIFICANCE;
+use crate::rl::{TRAINING_LIMITS, TrafficUsefulness};
 use crumple_core::digits::format_rounded;
 use crumple_evidence::DiscordantPairs;
 
 /// Decision on a candidate.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Acceptance {
     /// The candidate replaces the policy before it.
@@ -23,7 +24,7 @@ pub enum Acceptance {
 }
 
 /// Reason to reject a candidate.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 #[non_exhaustive]
 pub enum RejectionReason {
@@ -60,6 +61,11 @@ pub enum RejectionReason {
         /// Scenarios in which exactly one of the two policies is useful.
         drives: DiscordantPairs,
     },
+    /// The candidate is less useful in everyday traffic.
+    WorseInTraffic {
+        /// Measures that are worse.
+        measures: Vec<WorseMeasure>,
+    },
     /// No checkpoint was better than the policy before it.
     Unchanged,
     /// The training diverged, and there is no candidate.
@@ -67,6 +73,18 @@ pub enum RejectionReason {
         /// Description of the divergence.
         problem: String,
     },
+}
+
+/// Measure of everyday traffic that is worse after a round.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct WorseMeasure {
+    /// Name of the measure.
+    pub measure: String,
+    /// Value before.
+    pub before: f64,
+    /// Value after.
+    pub after: f64,
 }
 
 /// Difference between two ordered lists of failures.
@@ -131,11 +149,54 @@ pub fn decide_acceptance(before: &RegressionResults, after: &RegressionResults) 
             objections.push(RejectionReason::LessUseful { space: after.space.clone(), drives });
         }
     }
+    if let (Some(before), Some(after)) = (&before.usefulness, &after.usefulness) {
+        let measures = worse_in_traffic(before, after);
+        if !measures.is_empty() {
+            objections.push(RejectionReason::WorseInTraffic { measures });
+        }
+    }
     let (before, after) = (before.validation_set.len(), after.validation_set.len());
     if after > before {
         objections.push(RejectionReason::ValidationSet { before, after });
     }
     if objections.is_empty() { Acceptance::Accepted } else { Acceptance::Rejected { objections } }
+}
+
+/// Increase of a measure of comfort, relative to the larger of its value before and that of `idm`, that counts as worse.
+const COMFORT_TOLERANCE: f64 = 0.02;
+
+/// Lists the measures that are worse: any more faults, clearly less comfort than before and than `idm`, and a mean time
+/// gap that is clearly larger than before and than the limit.
+fn worse_in_traffic(before: &TrafficUsefulness, after: &TrafficUsefulness) -> Vec<WorseMeasure> {
+    let most = |limit: f64, value: f64| limit.max(value) * (1.0 + COMFORT_TOLERANCE);
+    let time_gap_limit_s = TRAINING_LIMITS.time_gap_range_s[1];
+    [
+        ("collisions", before.contacts as f64, after.contacts as f64, before.contacts as f64),
+        ("hard unnecessary braking", before.hard_braking as f64, after.hard_braking as f64, before.hard_braking as f64),
+        ("left behind", before.fell_behind as f64, after.fell_behind as f64, before.fell_behind as f64),
+        (
+            "RMS of acceleration, times that of idm",
+            before.acceleration_times_idm,
+            after.acceleration_times_idm,
+            most(1.0, before.acceleration_times_idm),
+        ),
+        (
+            "RMS of jerk, times that of idm",
+            before.jerk_times_idm,
+            after.jerk_times_idm,
+            most(1.0, before.jerk_times_idm),
+        ),
+        (
+            "mean time gap in s",
+            before.mean_time_gap_s,
+            after.mean_time_gap_s,
+            most(time_gap_limit_s, before.mean_time_gap_s),
+        ),
+    ]
+    .into_iter()
+    .filter(|(.., after, allowed)| after > allowed)
+    .map(|(measure, before, after, _)| WorseMeasure { measure: measure.to_owned(), before, after })
+    .collect()
 }
 
 pub(super) fn discordant_pairs(before: &[u64], after: &[u64]) -> DiscordantPairs {
@@ -186,6 +247,12 @@ impl fmt::Display for RejectionReason {
                 let (new, fixed, p) = (only_second_fails, only_first_fails, format_rounded(pairs.p_value(), 2));
                 write!(out, "{new} drives no longer useful and {fixed} newly useful in {space} (p = {p})")
             }
+            Self::WorseInTraffic { measures } => {
+                let each = measures.iter().map(|WorseMeasure { measure, before, after }| {
+                    format!("{measure} {} instead of {}", format_rounded(*after, 3), format_rounded(*before, 3))
+                });
+                write!(out, "in traffic {}", each.collect::<Vec<_>>().join(", "))
+            }
             Self::Unchanged => out.write_str("no checkpoint was better than the policy before the round"),
             Self::Diverged { problem } => write!(out, "the training diverged: {problem}"),
         }
@@ -204,7 +271,7 @@ mod tests {
             paper: paper.iter().map(|&name| name.to_owned()).collect(),
             nominal: nominal.to_vec(),
             validation_set: kept_aside.to_vec(),
-            regression: Vec::new(),
+            ..RegressionResults::default()
         }
     }
 

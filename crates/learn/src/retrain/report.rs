@@ -10,7 +10,8 @@ use super::files::{
 };
 use super::plan::{RETRAIN_VERSION, RetrainingPlan, RetrainingSettings};
 use super::regression_spaces::SIGNIFICANCE;
-use super::round::{Round, RoundFindings};
+use super::round::Round;
+use super::search::RoundFindings;
 use super::test_set::{CONFIDENCE, ControllerTally, PairedOutcomes, TestSetResults};
 use super::{RegressionResults, RetrainError};
 use crumple_core::digest::sha256;
@@ -63,7 +64,7 @@ pub struct RetrainingReport {
     pub first_sha256: String,
     /// SHA-256 of the final policy.
     pub retrained_sha256: String,
-    /// Name of the space.
+    /// Name of the space, or names of the spaces.
     pub space: String,
     /// Name of the training configuration.
     pub preset: String,
@@ -117,7 +118,7 @@ impl RetrainingReport {
             first: plan.initial_policy_name.clone(),
             first_sha256: plan.initial_policy.digest(),
             retrained_sha256: hash(POLICY)?.sha256,
-            space: plan.space.name().to_owned(),
+            space: plan.spaces.name(),
             preset: plan.training.name.clone(),
             method: plan.method.name().to_owned(),
             seed: plan.seed,
@@ -203,7 +204,9 @@ impl RetrainingReport {
         writeln!(out, "\nFirst policy: `{}`. Plan: `{}`.", self.first_sha256, self.plan_sha256)
     }
 
-    fn ending_sentence(&self) -> String {
+    /// Returns a sentence that states why the retraining ended.
+    #[must_use]
+    pub fn ending_sentence(&self) -> String {
         let accepted = self.rounds.iter().filter(|round| round.acceptance.is_accepted()).count();
         let made = format!("{} made, {accepted} accepted", self.rounds.len());
         match &self.ending {
