@@ -61,14 +61,10 @@ pub(super) struct Retrain {
         value_parser = value_parser!(u64).range(1..=99)
     )]
     rounds: u64,
-    /// Training episodes per round: 1 to 1 000 000
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = RetrainingSettings::default().episodes,
-        value_parser = value_parser!(u64).range(1..=1_000_000)
-    )]
-    episodes: u64,
+    /// Episodes of reinforcement learning per round: 1 to 1 000 000
+    /// [default: 1000; with an imitation, those of the preset]
+    #[arg(long, value_name = "N", value_parser = value_parser!(u64).range(1..=1_000_000))]
+    episodes: Option<u64>,
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
@@ -149,6 +145,13 @@ impl Retrain {
         let imitates = first.header().training.get("imitation").is_some();
         let preset = self.preset.as_deref().unwrap_or(if imitates { "road" } else { RETRAIN_PRESET_NAMES[0] });
         let training = load_training_config(preset)?;
+        let mut settings = RetrainingSettings::default();
+        settings.episodes =
+            self.episodes.unwrap_or(if training.imitation.is_some() { training.episodes } else { settings.episodes });
+        if !training.spaces.is_empty() {
+            // The spaces of the preset replace the paper's distribution.
+            settings.nominal_share = 0.0;
+        }
         let mut spaces = self.space;
         if spaces.is_empty() {
             spaces.extend(training.spaces.iter().map(|space| space.space.clone()));
@@ -170,14 +173,13 @@ impl Retrain {
             seed: self.seed,
             settings: RetrainingSettings {
                 rounds: self.rounds,
-                episodes: self.episodes,
                 budget: self.budget,
                 draws: self.draws,
                 validation_draws: self.validation_draws,
                 nominal: self.nominal,
                 regression,
                 test_draws: self.test_draws,
-                ..RetrainingSettings::default()
+                ..settings
             },
             render_svg: render_report_figure,
         };
@@ -218,7 +220,8 @@ fn render_report_figure(report: &RetrainingReport) -> String {
             })
         };
         RetrainingRound {
-            episodes: report.settings.episodes,
+            // An imitation has no episodes; its rounds still need a place on the axis.
+            episodes: report.settings.episodes.max(1),
             checkpoints: trained.checkpoints.iter().filter_map(checkpoint).collect(),
             is_accepted: round.acceptance.is_accepted(),
         }

@@ -326,6 +326,30 @@ mod tests {
         assert_eq!(objections(&[], &many), [RejectionReason::LessUseful { space: "traffic".to_owned(), drives }]);
     }
 
+    #[test]
+    fn one_measure_of_usability_cannot_be_traded_for_another() {
+        let useful = TrafficUsefulness {
+            scenario_count: 1000,
+            contacts: 0,
+            hard_braking: 3,
+            fell_behind: 0,
+            acceleration_times_idm: 1.1,
+            jerk_times_idm: 0.9,
+            mean_time_gap_s: 1.9,
+        };
+        let before = RegressionResults { usefulness: Some(useful), ..results(&[], &[], &[]) };
+        let worse = |usefulness| {
+            let after = RegressionResults { usefulness: Some(usefulness), ..before.clone() };
+            objections(&before, &after).iter().map(ToString::to_string).collect::<Vec<_>>()
+        };
+        assert!(worse(TrafficUsefulness { acceleration_times_idm: 1.12, jerk_times_idm: 1.01, ..useful }).is_empty());
+        assert!(worse(TrafficUsefulness { hard_braking: 2, mean_time_gap_s: 1.99, ..useful }).is_empty());
+        let hard = worse(TrafficUsefulness { hard_braking: 4, jerk_times_idm: 0.5, ..useful });
+        assert_eq!(hard, ["in traffic hard unnecessary braking 4 instead of 3"]);
+        let jerk = worse(TrafficUsefulness { hard_braking: 0, jerk_times_idm: 1.1, ..useful });
+        assert_eq!(jerk, ["in traffic RMS of jerk, times that of idm 1.1 instead of 0.9"]);
+    }
+
     proptest! {
         #[test]
         fn changes_add_up(

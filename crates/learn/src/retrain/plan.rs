@@ -55,7 +55,7 @@ pub struct RetrainingPlan {
 pub struct RetrainingSettings {
     /// Maximum number of rounds.
     pub rounds: u64,
-    /// Episodes of training per round.
+    /// Episodes of reinforcement learning per round.
     pub episodes: u64,
     /// Evaluations of the search method per round and space, and of each reference search.
     pub budget: u64,
@@ -137,6 +137,9 @@ pub(super) const TEST_SET_SEED: u64 = 0x006a_7564_6765_6420;
 pub(super) const NOMINAL_SEED: u64 = 0x006e_6f6d_696e_616c;
 pub(super) const REGRESSION_SEED: u64 = 0x0072_6567_7265_7373;
 
+/// Factor on the learning rate of an imitation.
+const IMITATION_RATE_FACTOR: f32 = 0.1;
+
 /// Offsets of the derived seeds of searches and of trainings.
 const SEARCH_SEED_BASE: u64 = 1 << 32;
 const TRAINING_SEED_BASE: u64 = 2 << 32;
@@ -148,9 +151,15 @@ impl RetrainingPlan {
         self.training.environment.estimator
     }
 
-    /// Returns the configuration up to `episodes`.
+    /// Returns the configuration up to `episodes`. An imitation continues with one round at a low rate, so that the
+    /// policy keeps its other answers.
     pub(super) fn training_until(&self, episodes: u64) -> TrainingConfig {
-        TrainingConfig { episodes, ..self.training.clone() }
+        let mut training = TrainingConfig { episodes, ..self.training.clone() };
+        if let Some(imitation) = &mut training.imitation {
+            imitation.rounds = 1;
+            imitation.rate *= IMITATION_RATE_FACTOR;
+        }
+        training
     }
 
     pub(super) fn search_seed(&self, round: u64) -> u64 {

@@ -14,6 +14,7 @@ use super::round::Round;
 use super::search::RoundFindings;
 use super::test_set::{CONFIDENCE, ControllerTally, PairedOutcomes, TestSetResults};
 use super::{RegressionResults, RetrainError};
+use crate::rl::TrafficUsefulness;
 use crumple_core::digest::sha256;
 use crumple_core::quoting::{MarkdownCode, MarkdownText};
 use crumple_store::run_folder::RunFolder;
@@ -168,12 +169,15 @@ impl RetrainingReport {
 
     fn write_markdown(&self, out: &mut String) -> std::fmt::Result {
         let RetrainingSettings { rounds, episodes, budget, draws, validation_draws, nominal, .. } = self.settings;
-        writeln!(out, "# Retraining of {} in the space {}\n", MarkdownCode(&self.first), MarkdownCode(&self.space))?;
+        let is_one = !self.space.contains(", ");
+        let (spaces, each) = if is_one { ("the space", "the") } else { ("the spaces", "each") };
+        writeln!(out, "# Retraining of {} in {spaces} {}\n", MarkdownCode(&self.first), MarkdownCode(&self.space))?;
+        let learning = if episodes == 0 { "imitation".to_owned() } else { format!("{episodes} episodes") };
         writeln!(
             out,
-            "At most {rounds} round{} of {episodes} episodes (preset {}, seed {}): {:.0} % of the episodes from the \
-             paper's distribution, {:.0} % of the others from collected cases, the rest random scenarios of the \
-             space. Each search: {budget} evaluations of `{}` and of each reference search, and {draws} random \
+            "At most {rounds} round{} of {learning} (preset {}, seed {}): {:.0} % of the episodes from the \
+             paper's distribution, {:.0} % of the others from collected cases, the rest random scenarios of \
+             {spaces}. Each search: {budget} evaluations of `{}` and of each reference search, and {draws} random \
              scenarios. {}\n",
             if rounds == 1 { "" } else { "s" },
             MarkdownCode(preset_name(&self.preset)),
@@ -191,7 +195,7 @@ impl RetrainingReport {
             out,
             "\nA change shows the collisions of the policy before the round → of the candidate (fixed, new). *Cases* \
              are all avoidable scenarios collected up to the round. The *validation set* has {validation_draws} \
-             avoidable random scenarios of the space. *paper-1..3* are the paper's scenarios, each through the filter \
+             avoidable random scenarios of {each} space. *paper-1..3* are the paper's scenarios, each through the filter \
              and with the true state. *paper's distribution* stands for {nominal} random scenarios of it. A round is \
              accepted if there is no new failure in the last two columns, no more collisions in the validation set, \
              and the candidate is not significantly worse in any regression space.\n"
@@ -280,6 +284,25 @@ impl RetrainingReport {
                 is.sample_count,
                 change(&was.contacts, &is.contacts),
                 drives.map_or("–".to_owned(), |(was, is)| change(was, is))
+            )?;
+        }
+        out.push('\n');
+        let (Some(was), Some(is)) = (&self.first_results.usefulness, &self.retrained_results.usefulness) else {
+            return Ok(());
+        };
+        writeln!(
+            out,
+            "In {} drives of everyday traffic, a round is accepted only if none of these measures is worse:\n\n| policy | \
+             collisions | hard unnecessary braking | left behind | rms acceleration, times idm | rms jerk, times idm | \
+             mean time gap, s |\n|---|---|---|---|---|---|---|",
+            is.scenario_count
+        )?;
+        for (name, useful) in [("first", was), ("retrained", is)] {
+            let TrafficUsefulness { contacts, hard_braking, fell_behind, .. } = useful;
+            writeln!(
+                out,
+                "| {name} | {contacts} | {hard_braking} | {fell_behind} | {:.2} | {:.2} | {:.2} |",
+                useful.acceleration_times_idm, useful.jerk_times_idm, useful.mean_time_gap_s
             )?;
         }
         out.push('\n');

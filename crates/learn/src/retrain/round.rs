@@ -27,7 +27,7 @@ pub struct RoundTraining {
     pub seed: u64,
     /// Episodes before the round.
     pub from_episode: u64,
-    /// Episodes after the round; 0 if the training diverged.
+    /// Episodes after the round; 0 if the training diverged, or is an imitation alone.
     pub to_episode: u64,
     /// Episode after which the candidate was taken.
     pub best_episode: u64,
