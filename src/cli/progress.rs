@@ -42,11 +42,9 @@ pub(super) fn format_time_left(elapsed: Duration, done: f64, total: f64) -> Stri
     if done <= 0.0 {
         return String::new();
     }
-    format!("; about {} left", HumanDuration(elapsed.mul_f64(((total - done) / done).clamp(0.0, MAX_TIME_FACTOR))))
+    // The limit prevents an overflow.
+    format!("; about {} left", HumanDuration(elapsed.mul_f64(((total - done) / done).clamp(0.0, 1e4))))
 }
-
-/// Largest ratio of the time left to the time elapsed that is shown.
-const MAX_TIME_FACTOR: f64 = 1e4;
 
 /// Does work that advances a bar from its present position, and clears the bar.
 pub(super) fn show<T>(bar: &ProgressBar, work: impl FnOnce(&dyn Observer<RunProgress>) -> T) -> T {

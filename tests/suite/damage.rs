@@ -104,7 +104,7 @@ fn retraining(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), 
             nominal: 3,
             regression: 3,
             test_draws: 3,
-            ..RetrainingSettings::default()
+            ..RetrainingSettings::DEFAULT
         },
         render_svg: |_| "<svg/>".to_owned(),
     };

@@ -63,8 +63,8 @@ pub enum RejectionReason {
     },
     /// The candidate is less useful in everyday traffic.
     WorseInTraffic {
-        /// Measures that are worse.
-        measures: Vec<WorseMeasure>,
+        /// Measures that are worse, each with its value before and after.
+        measures: Vec<(String, f64, f64)>,
     },
     /// No checkpoint was better than the policy before it.
     Unchanged,
@@ -73,18 +73,6 @@ pub enum RejectionReason {
         /// Description of the divergence.
         problem: String,
     },
-}
-
-/// Measure of everyday traffic that is worse after a round.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct WorseMeasure {
-    /// Name of the measure.
-    pub measure: String,
-    /// Value before.
-    pub before: f64,
-    /// Value after.
-    pub after: f64,
 }
 
 /// Difference between two ordered lists of failures.
@@ -162,40 +150,30 @@ pub fn decide_acceptance(before: &RegressionResults, after: &RegressionResults) 
     if objections.is_empty() { Acceptance::Accepted } else { Acceptance::Rejected { objections } }
 }
 
-/// Increase of a measure of comfort, relative to the larger of its value before and that of `idm`, that counts as worse.
+/// Relative increase of a measure of comfort that does not count as worse.
 const COMFORT_TOLERANCE: f64 = 0.02;
 
-/// Lists the measures that are worse: any more faults, clearly less comfort than before and than `idm`, and a mean time
-/// gap that is clearly larger than before and than the limit.
-fn worse_in_traffic(before: &TrafficUsefulness, after: &TrafficUsefulness) -> Vec<WorseMeasure> {
-    let most = |limit: f64, value: f64| limit.max(value) * (1.0 + COMFORT_TOLERANCE);
-    let time_gap_limit_s = TRAINING_LIMITS.time_gap_range_s[1];
-    [
-        ("collisions", before.contacts as f64, after.contacts as f64, before.contacts as f64),
-        ("hard unnecessary braking", before.hard_braking as f64, after.hard_braking as f64, before.hard_braking as f64),
-        ("left behind", before.fell_behind as f64, after.fell_behind as f64, before.fell_behind as f64),
-        (
-            "RMS of acceleration, times that of idm",
-            before.acceleration_times_idm,
-            after.acceleration_times_idm,
-            most(1.0, before.acceleration_times_idm),
-        ),
-        (
-            "RMS of jerk, times that of idm",
-            before.jerk_times_idm,
-            after.jerk_times_idm,
-            most(1.0, before.jerk_times_idm),
-        ),
-        (
-            "mean time gap in s",
-            before.mean_time_gap_s,
-            after.mean_time_gap_s,
-            most(time_gap_limit_s, before.mean_time_gap_s),
-        ),
-    ]
-    .into_iter()
-    .filter(|(.., after, allowed)| after > allowed)
-    .map(|(measure, before, after, _)| WorseMeasure { measure: measure.to_owned(), before, after })
+/// Lists the measures that are worse: any more faults; comfort and mean time gap if clearly above both the value before
+/// and that of `idm` or the limit.
+fn worse_in_traffic(before: &TrafficUsefulness, after: &TrafficUsefulness) -> Vec<(String, f64, f64)> {
+    let values = |useful: &TrafficUsefulness| {
+        [
+            useful.contacts as f64,
+            useful.hard_braking as f64,
+            useful.fell_behind as f64,
+            useful.acceleration_times_idm,
+            useful.jerk_times_idm,
+            useful.mean_time_gap_s,
+        ]
+    };
+    let names =
+        ["collisions", "hard unnecessary braking", "left behind", "rms acceleration", "rms jerk", "mean time gap"];
+    let limits = [None, None, None, Some(1.0), Some(1.0), Some(TRAINING_LIMITS.time_gap_range_s[1])];
+    let all = names.into_iter().zip(limits).zip(values(before)).zip(values(after));
+    all.filter(|(((_, limit), before), after)| {
+        *after > limit.map_or(*before, |limit: f64| limit.max(*before) * (1.0 + COMFORT_TOLERANCE))
+    })
+    .map(|(((name, _), before), after)| (name.to_owned(), before, after))
     .collect()
 }
 
@@ -248,7 +226,7 @@ impl fmt::Display for RejectionReason {
                 write!(out, "{new} drives no longer useful and {fixed} newly useful in {space} (p = {p})")
             }
             Self::WorseInTraffic { measures } => {
-                let each = measures.iter().map(|WorseMeasure { measure, before, after }| {
+                let each = measures.iter().map(|(measure, before, after)| {
                     format!("{measure} {} instead of {}", format_rounded(*after, 3), format_rounded(*before, 3))
                 });
                 write!(out, "in traffic {}", each.collect::<Vec<_>>().join(", "))
@@ -347,7 +325,7 @@ mod tests {
         let hard = worse(TrafficUsefulness { hard_braking: 4, jerk_times_idm: 0.5, ..useful });
         assert_eq!(hard, ["in traffic hard unnecessary braking 4 instead of 3"]);
         let jerk = worse(TrafficUsefulness { hard_braking: 0, jerk_times_idm: 1.1, ..useful });
-        assert_eq!(jerk, ["in traffic RMS of jerk, times that of idm 1.1 instead of 0.9"]);
+        assert_eq!(jerk, ["in traffic rms jerk 1.1 instead of 0.9"]);
     }
 
     proptest! {

@@ -29,7 +29,7 @@ pub struct Cases {
 }
 
 /// Random scenarios of one seed.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CollidingDraws {
     /// Round that found them.

@@ -49,7 +49,7 @@ mod spaces;
 mod test_set;
 mod training;
 
-pub use acceptance::{Acceptance, FailureChange, RejectionReason, WorseMeasure, decide_acceptance};
+pub use acceptance::{Acceptance, FailureChange, RejectionReason, decide_acceptance};
 pub use cases::{Cases, CollidingDraws};
 pub use corpus::{CORPUS_VERSION, Corpus};
 pub use error::RetrainError;

@@ -78,21 +78,20 @@ pub struct RetrainingSettings {
     pub case_share: f64,
 }
 
-impl Default for RetrainingSettings {
-    fn default() -> Self {
-        Self {
-            rounds: 3,
-            episodes: 1000,
-            budget: 1000,
-            draws: 1000,
-            validation_draws: 2000,
-            nominal: 10_000,
-            regression: 1000,
-            test_draws: 10_000,
-            nominal_share: 0.2,
-            case_share: 0.2,
-        }
-    }
+impl RetrainingSettings {
+    /// Sizes by default.
+    pub const DEFAULT: Self = Self {
+        rounds: 3,
+        episodes: 1000,
+        budget: 1000,
+        draws: 1000,
+        validation_draws: 2000,
+        nominal: 10_000,
+        regression: 1000,
+        test_draws: 10_000,
+        nominal_share: 0.2,
+        case_share: 0.2,
+    };
 }
 
 /// Text of the training preset of a retraining.

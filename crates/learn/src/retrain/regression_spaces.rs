@@ -145,7 +145,7 @@ mod tests {
             training: training_preset().unwrap(),
             method: Method::Uniform,
             seed: 0,
-            settings: RetrainingSettings { nominal: 20, regression: 60, ..RetrainingSettings::default() },
+            settings: RetrainingSettings { nominal: 20, regression: 60, ..RetrainingSettings::DEFAULT },
             render_svg: |_| String::new(),
         };
         let mut kept_aside = Corpus::empty(&plan.spaces, VALIDATION_SET_SEED).unwrap();

@@ -40,7 +40,8 @@ impl RetrainingPlan {
         work.write(PLAN, self.to_toml()?)?;
         let wanted = self.spaces.total(self.settings.validation_draws);
         let kept_aside = load_corpus(self, &work, (VALIDATION_SET, VALIDATION_SET_SEED, wanted), watch)?;
-        let wanted = self.training.evaluation.ranking_draws;
+        // An imitation alone has one checkpoint.
+        let wanted = if self.settings.episodes == 0 { 0 } else { self.training.evaluation.ranking_draws };
         let selection = load_corpus(self, &work, (SELECTION_SET, SELECTION_SEED, wanted), watch)?;
         let mut policy = Arc::clone(&self.initial_policy);
         let regression = RegressionSet::new(self)?;

@@ -21,7 +21,7 @@ const FINDINGS: &str = "found.json";
 const SEARCH: &str = "search";
 
 /// Results of a search.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RoundFindings {
     /// Evaluations of the campaign, by all its methods.
@@ -54,71 +54,47 @@ impl RoundContext<'_> {
         }
         self.run_folder.write(&self.path("before.safetensors"), self.policy.to_bytes()?)?;
         let (colliding_draws, avoidable_draws) = self.find_colliding_draws(watch)?;
-        let mut found = RoundFindings {
-            evaluations: 0,
-            failures: 0,
-            avoidable: 0,
-            unavoidable: 0,
-            undecided: 0,
-            draws: self.plan.spaces.total(self.plan.settings.draws),
-            colliding_draws,
-            avoidable_draws,
-            counterexamples: Vec::new(),
-        };
-        let spaces = self.plan.spaces.as_slice();
-        for index in 0..spaces.len() {
-            // The search of a single space has no folder of its own.
-            let folder = if spaces.len() == 1 { String::new() } else { format!("{}/", index + 1) };
-            self.search_space(index, &folder, &mut found, watch)?;
+        let (plan, round) = (self.plan, self.round_number());
+        let draws = plan.spaces.total(plan.settings.draws);
+        let mut found = RoundFindings { draws, colliding_draws, avoidable_draws, ..RoundFindings::default() };
+        let spaces = plan.spaces.as_slice();
+        for (index, space) in spaces.iter().enumerate() {
+            // The search of a single space has no folder of its own. The path of the policy is relative to the folder of
+            // the counterexamples, so that their recorded verdicts can be replayed.
+            let (folder, up) = if spaces.len() == 1 { (String::new(), "") } else { (format!("{}/", index + 1), "../") };
+            let path = self.path(&format!("{SEARCH}/{folder}"));
+            let path = path.trim_end_matches('/');
+            let controller = named_policy(&format!("../../{up}before.safetensors"), &self.policy);
+            let campaign = Campaign {
+                estimator: plan.estimator(),
+                method: plan.method.clone(),
+                budget: plan.settings.budget,
+                seed: plan.search_seed(round),
+                ..Campaign::new(controller, space.clone())
+            };
+            let searching = |state: &CampaignProgress| {
+                let (space, space_index, progress) = (space.name().to_owned(), [index, spaces.len()], state.clone());
+                watch.observe(&RetrainingProgress::Searching { round, space, space_index, progress })
+            };
+            let options = CampaignOptions { resume: true, ..CampaignOptions::default() };
+            let summary = campaign.run(&self.run_folder.path(path), options, &searching)?;
+            self.run_folder.include(path)?;
+            found.evaluations += summary.methods.iter().map(|method| method.evaluations).sum::<u64>();
+            found.failures += summary.methods.iter().map(|method| method.failures).sum::<u64>();
+            for counterexample in &summary.counterexamples {
+                match counterexample.avoidability.class() {
+                    AvoidabilityClass::Avoidable => {
+                        found.avoidable += 1;
+                        found.counterexamples.push(format!("{folder}{}", counterexample.file));
+                    }
+                    AvoidabilityClass::Unavoidable => found.unavoidable += 1,
+                    AvoidabilityClass::Undecided => found.undecided += 1,
+                    AvoidabilityClass::NotAsked => {}
+                }
+            }
         }
         write_json(self.run_folder, &self.path(FINDINGS), &found)?;
         Ok(found)
-    }
-
-    /// Adds the results of a search in one space. Its `folder` is inside that of the searches.
-    fn search_space(
-        &self,
-        index: usize,
-        folder: &str,
-        found: &mut RoundFindings,
-        watch: &RetrainingObserver<'_>,
-    ) -> Result<(), RetrainError> {
-        let (plan, round) = (self.plan, self.round_number());
-        let spaces = plan.spaces.as_slice();
-        let space = &spaces[index];
-        let path = self.path(&format!("{SEARCH}/{folder}"));
-        let path = path.trim_end_matches('/');
-        // Relative to the folder of the counterexamples, so that their recorded verdicts can be replayed.
-        let up = if folder.is_empty() { "" } else { "../" };
-        let controller = named_policy(&format!("../../{up}before.safetensors"), &self.policy);
-        let campaign = Campaign {
-            estimator: plan.estimator(),
-            method: plan.method.clone(),
-            budget: plan.settings.budget,
-            seed: plan.search_seed(round),
-            ..Campaign::new(controller, space.clone())
-        };
-        let searching = |state: &CampaignProgress| {
-            let (space, space_index, progress) = (space.name().to_owned(), [index, spaces.len()], state.clone());
-            watch.observe(&RetrainingProgress::Searching { round, space, space_index, progress })
-        };
-        let options = CampaignOptions { resume: true, ..CampaignOptions::default() };
-        let summary = campaign.run(&self.run_folder.path(path), options, &searching)?;
-        self.run_folder.include(path)?;
-        found.evaluations += summary.methods.iter().map(|method| method.evaluations).sum::<u64>();
-        found.failures += summary.methods.iter().map(|method| method.failures).sum::<u64>();
-        for counterexample in &summary.counterexamples {
-            match counterexample.avoidability.class() {
-                AvoidabilityClass::Avoidable => {
-                    found.avoidable += 1;
-                    found.counterexamples.push(format!("{folder}{}", counterexample.file));
-                }
-                AvoidabilityClass::Unavoidable => found.unavoidable += 1,
-                AvoidabilityClass::Undecided => found.undecided += 1,
-                AvoidabilityClass::NotAsked => {}
-            }
-        }
-        Ok(())
     }
 
     /// Counts the random scenarios that end in a collision, and returns the avoidable ones.
