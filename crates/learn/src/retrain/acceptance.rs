@@ -150,30 +150,40 @@ pub fn decide_acceptance(before: &RegressionResults, after: &RegressionResults) 
     if objections.is_empty() { Acceptance::Accepted } else { Acceptance::Rejected { objections } }
 }
 
+/// Names of the values of [`traffic_measures`].
+pub(super) const TRAFFIC_MEASURES: [&str; 6] = [
+    "collisions",
+    "hard unnecessary braking",
+    "left behind",
+    "rms acceleration, times idm",
+    "rms jerk, times idm",
+    "mean time gap, s",
+];
+
+pub(super) fn traffic_measures(useful: &TrafficUsefulness) -> [f64; 6] {
+    [
+        useful.contacts as f64,
+        useful.hard_braking as f64,
+        useful.fell_behind as f64,
+        useful.acceleration_times_idm,
+        useful.jerk_times_idm,
+        useful.mean_time_gap_s,
+    ]
+}
+
 /// Relative increase of a measure of comfort that does not count as worse.
 const COMFORT_TOLERANCE: f64 = 0.02;
 
 /// Lists the measures that are worse: any more faults; comfort and mean time gap if clearly above both the value before
 /// and that of `idm` or the limit.
 fn worse_in_traffic(before: &TrafficUsefulness, after: &TrafficUsefulness) -> Vec<(String, f64, f64)> {
-    let values = |useful: &TrafficUsefulness| {
-        [
-            useful.contacts as f64,
-            useful.hard_braking as f64,
-            useful.fell_behind as f64,
-            useful.acceleration_times_idm,
-            useful.jerk_times_idm,
-            useful.mean_time_gap_s,
-        ]
-    };
-    let names =
-        ["collisions", "hard unnecessary braking", "left behind", "rms acceleration", "rms jerk", "mean time gap"];
     let limits = [None, None, None, Some(1.0), Some(1.0), Some(TRAINING_LIMITS.time_gap_range_s[1])];
-    let all = names.into_iter().zip(limits).zip(values(before)).zip(values(after));
-    all.filter(|(((_, limit), before), after)| {
+    let values = traffic_measures(before).into_iter().zip(traffic_measures(after));
+    let all = TRAFFIC_MEASURES.into_iter().zip(limits).zip(values);
+    all.filter(|((_, limit), (before, after))| {
         *after > limit.map_or(*before, |limit: f64| limit.max(*before) * (1.0 + COMFORT_TOLERANCE))
     })
-    .map(|(((name, _), before), after)| (name.to_owned(), before, after))
+    .map(|((name, _), (before, after))| (name.to_owned(), before, after))
     .collect()
 }
 
@@ -325,7 +335,7 @@ mod tests {
         let hard = worse(TrafficUsefulness { hard_braking: 4, jerk_times_idm: 0.5, ..useful });
         assert_eq!(hard, ["in traffic hard unnecessary braking 4 instead of 3"]);
         let jerk = worse(TrafficUsefulness { hard_braking: 0, jerk_times_idm: 1.1, ..useful });
-        assert_eq!(jerk, ["in traffic rms jerk 1.1 instead of 0.9"]);
+        assert_eq!(jerk, ["in traffic rms jerk, times idm 1.1 instead of 0.9"]);
     }
 
     proptest! {

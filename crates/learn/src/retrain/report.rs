@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use super::acceptance::{FailureChange, discordant_pairs};
+use super::acceptance::{FailureChange, TRAFFIC_MEASURES, discordant_pairs, traffic_measures};
 use super::files::{
     POLICY, REPORT_JSON, REPORT_MARKDOWN, REPORT_SVG, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET, to_json,
 };
@@ -14,8 +14,8 @@ use super::round::Round;
 use super::search::RoundFindings;
 use super::test_set::{CONFIDENCE, ControllerTally, PairedOutcomes, TestSetResults};
 use super::{RegressionResults, RetrainError};
-use crate::rl::TrafficUsefulness;
 use crumple_core::digest::sha256;
+use crumple_core::digits::format_rounded;
 use crumple_core::quoting::{MarkdownCode, MarkdownText};
 use crumple_store::run_folder::RunFolder;
 
@@ -290,20 +290,10 @@ impl RetrainingReport {
         let (Some(was), Some(is)) = (&self.first_results.usefulness, &self.retrained_results.usefulness) else {
             return Ok(());
         };
-        writeln!(
-            out,
-            "In {} drives of everyday traffic, a round is accepted only if none of these measures is worse:\n\n| policy | \
-             collisions | hard unnecessary braking | left behind | rms acceleration, times idm | rms jerk, times idm | \
-             mean time gap, s |\n|---|---|---|---|---|---|---|",
-            is.scenario_count
-        )?;
-        for (name, useful) in [("first", was), ("retrained", is)] {
-            let TrafficUsefulness { contacts, hard_braking, fell_behind, .. } = useful;
-            writeln!(
-                out,
-                "| {name} | {contacts} | {hard_braking} | {fell_behind} | {:.2} | {:.2} | {:.2} |",
-                useful.acceleration_times_idm, useful.jerk_times_idm, useful.mean_time_gap_s
-            )?;
+        writeln!(out, "| in {} drives of everyday traffic | first | retrained |\n|---|---|---|", is.scenario_count)?;
+        let values = traffic_measures(was).into_iter().zip(traffic_measures(is));
+        for (name, (was, is)) in TRAFFIC_MEASURES.into_iter().zip(values) {
+            writeln!(out, "| {name} | {} | {} |", format_rounded(was, 3), format_rounded(is, 3))?;
         }
         out.push('\n');
         Ok(())

@@ -2,7 +2,7 @@
 
 use super::RetrainError;
 use crate::rl::ScenarioSource;
-use crumple_core::digest::Sha256;
+use crumple_core::digest::sha256;
 use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::scenario::{InvalidField, Scenario};
 
@@ -25,11 +25,8 @@ impl SearchedSpaces {
 
     /// Returns the SHA-256 of all spaces as JSON.
     pub(super) fn sha256(&self) -> Result<String, RetrainError> {
-        let mut digest = Sha256::default();
-        for space in &self.0 {
-            digest.update(serde_json::to_string(space.spec()).map_err(RetrainError::encoding)?);
-        }
-        Ok(digest.hexadecimal())
+        let each = self.0.iter().map(|space| serde_json::to_string(space.spec()));
+        each.collect::<Result<String, _>>().map(sha256).map_err(RetrainError::encoding)
     }
 
     /// Returns the number of random scenarios that contain `of_each` of every space.
