@@ -76,7 +76,8 @@ pub(super) struct Retrain {
     #[arg(long, value_name = "N", default_value_t = DEFAULTS.draws, value_parser = args::whole_number(0..=1_000_000))]
     draws: u64,
     /// Avoidable random scenarios per space of the validation set, which accepts or rejects a round: 1 to 1 000 000
-    #[arg(long = "kept-aside", value_name = "N", default_value_t = DEFAULTS.validation_draws, value_parser = args::whole_number(1..=1_000_000))]
+    #[arg(long = "kept-aside", value_name = "N", default_value_t = DEFAULTS.validation_draws)]
+    #[arg(value_parser = args::whole_number(1..=1_000_000))]
     validation_draws: u64,
     /// Random scenarios of the paper's distribution, and drives of traffic, in the validation set: 1 to 1 000 000
     #[arg(long, value_name = "N", default_value_t = DEFAULTS.nominal, value_parser = args::whole_number(1..=1_000_000))]
@@ -89,7 +90,8 @@ pub(super) struct Retrain {
     #[arg(long, value_name = "N", default_value_t = DEFAULTS.regression, value_parser = args::whole_number(1..=10_000))]
     regression_draws: u64,
     /// Avoidable random scenarios per space of the test set, which evaluates the result: 1 to 10 000 000
-    #[arg(long = "judge", value_name = "N", default_value_t = DEFAULTS.test_draws, value_parser = args::whole_number(1..=10_000_000))]
+    #[arg(long = "judge", value_name = "N", default_value_t = DEFAULTS.test_draws)]
+    #[arg(value_parser = args::whole_number(1..=10_000_000))]
     test_draws: u64,
     /// Seed of searches and trainings
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number(0..=i64::MAX as u64))]

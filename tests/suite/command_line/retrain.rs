@@ -2,8 +2,8 @@
 
 use super::*;
 
-const RETRAIN_ARGS: &str = "retrain --preset tiny.toml --space high-risk --rounds 2 --episodes 25 --budget 12 --draws 15 --kept-aside 8 \
-    --nominal 10 --judge 12 --regression-draws 10 --seed 3";
+const RETRAIN_ARGS: &str = "retrain --preset tiny.toml --space high-risk --rounds 2 --episodes 25 --budget 12 \
+    --draws 15 --kept-aside 8 --nominal 10 --judge 12 --regression-draws 10 --seed 3";
 
 fn file_sha256(path: &Path) -> String {
     sha256(fs::read(path).unwrap())

@@ -59,8 +59,8 @@ impl RoundContext<'_> {
         let mut found = RoundFindings { draws, colliding_draws, avoidable_draws, ..RoundFindings::default() };
         let spaces = plan.spaces.as_slice();
         for (index, space) in spaces.iter().enumerate() {
-            // The search of a single space has no folder of its own. The path of the policy is relative to the folder of
-            // the counterexamples, so that their recorded verdicts can be replayed.
+            // The search of a single space has no folder of its own. The path of the policy is relative to the
+            // counterexamples, so that their recorded verdicts can be replayed.
             let (folder, up) = if spaces.len() == 1 { (String::new(), "") } else { (format!("{}/", index + 1), "../") };
             let path = self.path(&format!("{SEARCH}/{folder}"));
             let path = path.trim_end_matches('/');
