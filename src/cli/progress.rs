@@ -1,7 +1,9 @@
 //! Progress bars on a terminal; nothing in a pipe.
 
+use std::time::Duration;
+
 use crumple_core::observer::{Listener, Observer, RunProgress};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// Creates a bar on standard error, shown only on a terminal.
 fn progress_bar(template: &str, total: Option<u64>, quiet: bool) -> ProgressBar {
@@ -33,6 +35,15 @@ pub(super) fn depth_line(what: &'static str, total: u64, quiet: bool) -> Progres
 
 pub(super) fn status_line(quiet: bool) -> ProgressBar {
     progress_bar("{spinner} {msg} ({elapsed})", None, quiet)
+}
+
+/// Returns how long a step is expected to go on, to follow a message; empty before any of it is done.
+pub(super) fn format_time_left(elapsed: Duration, done: f64, total: f64) -> String {
+    if done <= 0.0 {
+        return String::new();
+    }
+    // The limit prevents an overflow.
+    format!("; about {} left", HumanDuration(elapsed.mul_f64(((total - done) / done).clamp(0.0, 1e4))))
 }
 
 /// Does work that advances a bar from its present position, and clears the bar.

@@ -1,8 +1,10 @@
 //! `crumple retrain`: retrains a policy on counterexamples of a search.
 
 use std::path::PathBuf;
+use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
 
-use clap::{Args, value_parser};
+use clap::Args;
 use indicatif::ProgressBar;
 
 use super::preset::{RETRAIN_PRESET_NAMES, TrainingPreset};
@@ -11,7 +13,7 @@ use super::{CliError, args, interrupt, output, progress};
 use crumple_core::observer::Listener;
 use crumple_learn::retrain::{
     Checkpoint, RetrainError, RetrainingPlan, RetrainingProgress, RetrainingReport, RetrainingSettings, Round,
-    training_preset,
+    SearchedSpaces, training_preset,
 };
 use crumple_learn::rl::TrainingConfig;
 use crumple_report::figures::{RetrainingRound, SelectedCheckpoint, draw_retraining};
@@ -19,23 +21,29 @@ use crumple_search::falsify::Method;
 use crumple_world::scenario::space::{BUILT_IN_SPACES, ScenarioSpace, built_in_space};
 use crumple_world::sim::{ControllerKind, NamedController};
 
+const DEFAULTS: RetrainingSettings = RetrainingSettings::DEFAULT;
+
 /// Retrain a policy on avoidable failures that a search finds; accept no regression
 #[derive(Args)]
 #[command(after_long_help = "\
-Each round searches for collisions of the policy and keeps the avoidable ones. It then trains the policy on these, \
-mixed with random scenarios of the paper's distribution and of the space, and evaluates the best checkpoint. It \
+Each round searches every --space for collisions of the policy and keeps the avoidable ones. It then trains the \
+policy on these, mixed with random scenarios of the preset's spaces, or of the paper's distribution and the space, and \
+evaluates the best checkpoint. With `[imitation]` in the preset (`road`), the policy imitates the expert in them. It \
 accepts the checkpoint only if no safe scenario of the paper and its distribution fails, collisions on the \
 validation set do not increase, and the policy is significantly worse in none of the --regression spaces: by \
 collisions and, where `idm` drives without fault, also by hard unnecessary braking and vehicles left behind \
-(McNemar's exact one-sided test on the same random scenarios, p below 0.01). The retraining ends after --rounds, or \
+(McNemar's exact one-sided test on the same random scenarios, p below 0.01). With `useful_draws` in the preset, no \
+measure of usability in `traffic` may get worse either. The retraining ends after --rounds, or \
 when a search finds no avoidable failure, and then evaluates the result on the test set.
 
 The folder contains the policy, the training, validation and test sets, a report (report.md, report.json) with their \
 hashes, and each round. --resume continues an interrupted retraining, even after `kill -9`, and gives the same bytes \
-with any number of threads. The exit code is 1 if no round was accepted.
+with any number of threads. The exit code is 1 if no round was accepted, or if the policy collides in a \
+scenario of the paper.
 
 Examples:
   crumple retrain --out runs/retrained
+  crumple retrain --policy road
   crumple retrain --regression none
   crumple retrain --policy runs/seed-3/policy.safetensors --space wet.toml --rounds 3 --judge 20000
   crumple simulate paper-1 --controller runs/retrained/policy.safetensors --expect safe")]
@@ -43,83 +51,47 @@ pub(super) struct Retrain {
     /// Initial policy: `policy`, or a policy file
     #[arg(long, value_name = "P", default_value = "policy", value_parser = args::parse_own_policy)]
     policy: NamedController,
-    /// Scenario space for searches and random scenarios: built-in (see `crumple list spaces`) or a file
-    #[arg(long, value_name = "S", default_value = "high-risk", value_parser = args::parse_space)]
-    space: (String, ScenarioSpace),
-    /// Training preset: `retrain`, a preset of `crumple train`, or a TOML file like theirs, whose spaces are ignored
-    /// but must exist
-    #[arg(long, value_name = "PRESET", default_value = "retrain")]
-    preset: String,
+    /// Scenario space for searches and random scenarios: built-in (see `crumple list spaces`) or a file; may be
+    /// repeated [default: the spaces of the preset, or `high-risk` if it has none]
+    #[arg(long, value_name = "S")]
+    space: Vec<String>,
+    /// Training preset: `retrain`, a preset of `crumple train`, or a TOML file like theirs
+    /// [default: `road` for a policy made by imitation, otherwise `retrain`]
+    #[arg(long, value_name = "PRESET")]
+    preset: Option<String>,
     /// Maximum number of rounds: 1 to 99
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = RetrainingSettings::default().rounds,
-        value_parser = value_parser!(u64).range(1..=99)
-    )]
+    #[arg(long, value_name = "N", default_value_t = DEFAULTS.rounds, value_parser = args::whole_number(1..=99))]
     rounds: u64,
-    /// Training episodes per round: 1 to 1 000 000
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = RetrainingSettings::default().episodes,
-        value_parser = value_parser!(u64).range(1..=1_000_000)
-    )]
-    episodes: u64,
+    /// Episodes of reinforcement learning per round: 1 to 1 000 000
+    /// [default: 1000; with an imitation, those of the preset]
+    #[arg(long, value_name = "N", value_parser = args::whole_number(1..=1_000_000))]
+    episodes: Option<u64>,
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
-    /// Evaluations of the search method per round, and of each reference search: 1 to 1 000 000
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = RetrainingSettings::default().budget,
-        value_parser = value_parser!(u64).range(1..=1_000_000)
-    )]
+    /// Evaluations of the search method per round and space, and of each reference search: 1 to 1 000 000
+    #[arg(long, value_name = "N", default_value_t = DEFAULTS.budget, value_parser = args::whole_number(1..=1_000_000))]
     budget: u64,
-    /// Random scenarios of the space that each search simulates in addition: up to 1 000 000
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = RetrainingSettings::default().draws,
-        value_parser = value_parser!(u64).range(0..=1_000_000)
-    )]
+    /// Random scenarios of each space that a round simulates in addition: up to 1 000 000
+    #[arg(long, value_name = "N", default_value_t = DEFAULTS.draws, value_parser = args::whole_number(0..=1_000_000))]
     draws: u64,
-    /// Avoidable random scenarios of the validation set, which accepts or rejects a round: 1 to 1 000 000
-    #[arg(
-        long = "kept-aside",
-        value_name = "N",
-        default_value_t = RetrainingSettings::default().validation_draws,
-        value_parser = value_parser!(u64).range(1..=1_000_000)
-    )]
+    /// Avoidable random scenarios per space of the validation set, which accepts or rejects a round: 1 to 1 000 000
+    #[arg(long = "kept-aside", value_name = "N", default_value_t = DEFAULTS.validation_draws)]
+    #[arg(value_parser = args::whole_number(1..=1_000_000))]
     validation_draws: u64,
-    /// Random scenarios of the paper's distribution in the validation set: 1 to 1 000 000
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = RetrainingSettings::default().nominal,
-        value_parser = value_parser!(u64).range(1..=1_000_000)
-    )]
+    /// Random scenarios of the paper's distribution, and drives of traffic, in the validation set: 1 to 1 000 000
+    #[arg(long, value_name = "N", default_value_t = DEFAULTS.nominal, value_parser = args::whole_number(1..=1_000_000))]
     nominal: u64,
     /// Scenario space in which no round may make the policy worse, built-in or a file; may be repeated, `none` for none
     /// [default: all built-in spaces]
     #[arg(long, value_name = "S")]
     regression: Vec<String>,
     /// Random scenarios of each of these spaces: 1 to 10 000
-    #[arg(
-        long,
-        value_name = "N",
-        default_value_t = RetrainingSettings::default().regression,
-        value_parser = value_parser!(u64).range(1..=10_000)
-    )]
+    #[arg(long, value_name = "N", default_value_t = DEFAULTS.regression, value_parser = args::whole_number(1..=10_000))]
     regression_draws: u64,
-    /// Avoidable random scenarios of the test set, which evaluates the result: 1 to 10 000 000
-    #[arg(
-        long = "judge",
-        value_name = "N",
-        default_value_t = RetrainingSettings::default().test_draws,
-        value_parser = value_parser!(u64).range(1..=10_000_000)
-    )]
+    /// Avoidable random scenarios per space of the test set, which evaluates the result: 1 to 10 000 000
+    #[arg(long = "judge", value_name = "N", default_value_t = DEFAULTS.test_draws)]
+    #[arg(value_parser = args::whole_number(1..=10_000_000))]
     test_draws: u64,
     /// Seed of searches and trainings
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number(0..=i64::MAX as u64))]
@@ -143,26 +115,44 @@ impl Retrain {
         let first = first.ok_or_else(|| {
             CliError::Input(format!("--policy: `{name}` cannot be retrained; use a policy that `crumple train` wrote"))
         })?;
+        let imitates = first.header().training.get("imitation").is_some();
+        let preset = self.preset.as_deref().unwrap_or(if imitates { "road" } else { RETRAIN_PRESET_NAMES[0] });
+        let training = load_training_config(preset)?;
+        let mut settings = DEFAULTS;
+        settings.episodes =
+            self.episodes.unwrap_or(if training.imitation.is_some() { training.episodes } else { settings.episodes });
+        if !training.spaces.is_empty() {
+            // The spaces of the preset replace the paper's distribution.
+            settings.nominal_share = 0.0;
+        }
+        let mut spaces = self.space;
+        if spaces.is_empty() {
+            spaces.extend(training.spaces.iter().map(|space| space.space.clone()));
+        }
+        if spaces.is_empty() {
+            spaces.push("high-risk".to_owned());
+        }
+        let spaces = SearchedSpaces::new(load_spaces("--space", &spaces)?);
+        let spaces = spaces.ok_or_else(|| CliError::Input("--space: there is no space".to_owned()))?;
         let regression_spaces = load_regression_spaces(&self.regression)?;
         let regression = if regression_spaces.is_empty() { 0 } else { self.regression_draws };
         let plan = RetrainingPlan {
             initial_policy: first,
             initial_policy_name: name.clone(),
-            space: self.space.1,
+            spaces,
             regression_spaces,
-            training: load_training_config(&self.preset)?,
+            training,
             method: self.method,
             seed: self.seed,
             settings: RetrainingSettings {
                 rounds: self.rounds,
-                episodes: self.episodes,
                 budget: self.budget,
                 draws: self.draws,
                 validation_draws: self.validation_draws,
                 nominal: self.nominal,
                 regression,
                 test_draws: self.test_draws,
-                ..RetrainingSettings::default()
+                ..settings
             },
             render_svg: render_report_figure,
         };
@@ -170,10 +160,12 @@ impl Retrain {
         interrupt::set_resume_message("the results so far are in", &self.out, quiet);
         output::note_nothing_to_resume(self.resume, &self.out, quiet);
         let bar = progress::status_line(quiet);
-        let report =
-            plan.run(&self.out, self.resume, &Listener(|state: &RetrainingProgress| show_progress(&bar, state)));
+        let line = Mutex::new(ProgressLine { bar: &bar, rounds: self.rounds, step: None });
+        let show = |state: &RetrainingProgress| line.lock().unwrap_or_else(PoisonError::into_inner).show(state);
+        let report = plan.run(&self.out, self.resume, &Listener(show));
         bar.finish_and_clear();
-        let report = report.map_err(|error| with_preset_name(error, &self.preset))?;
+        let report = report.map_err(|error| with_preset_name(error, preset))?;
+        output::note(&report.ending_sentence(), quiet);
         output::note(&format!("wrote {out} (policy.safetensors, corpora, report.md, report.json)"), quiet);
         let printed = output::print_result(self.format, &report, || report.to_markdown());
         CliError::gate_first(check_accepted(&report), printed)
@@ -201,7 +193,8 @@ fn render_report_figure(report: &RetrainingReport) -> String {
             })
         };
         RetrainingRound {
-            episodes: report.settings.episodes,
+            // An imitation has no episodes; its rounds still need a place on the axis.
+            episodes: report.settings.episodes.max(1),
             checkpoints: trained.checkpoints.iter().filter_map(checkpoint).collect(),
             is_accepted: round.acceptance.is_accepted(),
         }
@@ -210,6 +203,10 @@ fn render_report_figure(report: &RetrainingReport) -> String {
 }
 
 fn check_accepted(report: &RetrainingReport) -> Result<(), CliError> {
+    let collisions = &report.retrained_results.paper;
+    if !collisions.is_empty() {
+        return Err(CliError::Gate(format!("seed {}: the policy collides in {}", report.seed, collisions.join(", "))));
+    }
     if report.rounds.is_empty() || report.is_retrained() {
         return Ok(());
     }
@@ -226,51 +223,82 @@ fn load_regression_spaces(names: &[String]) -> Result<Vec<ScenarioSpace>, CliErr
             _ => Err(CliError::Input("--regression: `none` cannot be combined with spaces".to_owned())),
         };
     }
-    if names.len() > MAX_REGRESSION_SPACES {
-        return Err(CliError::Input(format!("--regression: at most {MAX_REGRESSION_SPACES} spaces")));
+    load_spaces("--regression", names)
+}
+
+/// Loads the spaces of a repeated option.
+fn load_spaces(option: &str, names: &[String]) -> Result<Vec<ScenarioSpace>, CliError> {
+    if names.len() > MAX_SPACES {
+        return Err(CliError::Input(format!("{option}: at most {MAX_SPACES} spaces")));
     }
     let mut spaces: Vec<ScenarioSpace> = Vec::new();
     for name in names {
-        let (_, space) = args::parse_space(name).map_err(|error| CliError::Input(format!("--regression: {error}")))?;
+        let (_, space) = args::parse_space(name).map_err(|error| CliError::Input(format!("{option}: {error}")))?;
         if spaces.iter().any(|known| known.name() == space.name()) {
-            return Err(CliError::Input(format!("--regression: two spaces have the name `{}`", space.name())));
+            return Err(CliError::Input(format!("{option}: two spaces have the name `{}`", space.name())));
         }
         spaces.push(space);
     }
     Ok(spaces)
 }
 
-const MAX_REGRESSION_SPACES: usize = 32;
+const MAX_SPACES: usize = 32;
 
 fn load_training_config(name: &str) -> Result<TrainingConfig, CliError> {
     if RETRAIN_PRESET_NAMES.contains(&name) {
         return training_preset().map_err(CliError::input);
     }
-    // Its scenario spaces must exist although they are not used here: anything else is a mistake.
     TrainingPreset::find_with_own(RETRAIN_PRESET_NAMES[0], name)?.into_checked_config()
 }
 
-fn show_progress(bar: &ProgressBar, state: &RetrainingProgress) {
-    bar.set_message(match state {
-        RetrainingProgress::Gathering { file: what, done, wanted } => {
-            format!("{what}: {done} of {wanted} avoidable random scenarios")
-        }
-        RetrainingProgress::Searching { round, progress: state } => match &state.method {
-            Some(method) => format!(
-                "round {round}: {method}, {} of {} runs, {} failures",
-                state.evaluations, state.total, state.failures
-            ),
-            None => format!("round {round}: {} failures; replaying, shrinking and classifying", state.failures),
-        },
-        RetrainingProgress::SimulatingDraws { round, draws } => {
-            format!("round {round}: simulating {draws} random scenarios, classifying collisions")
-        }
-        RetrainingProgress::Training { round, episode, episodes, fewest_contacts: fewest } => {
-            let fewest =
-                fewest.map_or("no checkpoint yet".to_owned(), |fewest| format!("best checkpoint {fewest} collisions"));
-            format!("round {round}: episode {episode} of {episodes}, {fewest}")
-        }
-        RetrainingProgress::Evaluating { round } => format!("round {round}: evaluating the candidate"),
-    });
-    bar.tick();
+/// Progress on a terminal, with the time that is left of a step: of a corpus, or of all rounds.
+struct ProgressLine<'a> {
+    bar: &'a ProgressBar,
+    rounds: u64,
+    /// Name of the step, its beginning, and the share of it that was done then.
+    step: Option<(&'static str, Instant, f64)>,
+}
+
+impl ProgressLine<'_> {
+    fn show(&mut self, state: &RetrainingProgress) {
+        let share = |done: u64, total: u64| done as f64 / total.max(1) as f64;
+        // The search counts as half of a round.
+        let (round, part, message) = match state {
+            RetrainingProgress::Gathering { file, done, wanted } => {
+                let message = format!("{file}: {done} of {wanted} avoidable random scenarios");
+                return self.print(file, share(*done, *wanted), &message);
+            }
+            RetrainingProgress::SimulatingDraws { round, draws } => {
+                (round, 0.0, format!("simulating {draws} random scenarios, classifying collisions"))
+            }
+            RetrainingProgress::Searching { round, space, space_index: [index, spaces], progress: state } => {
+                let part = (*index as f64 + share(state.evaluations, state.total)) / *spaces as f64;
+                let method = state.method.as_ref().map_or("replay and classification".to_owned(), ToString::to_string);
+                let (done, total, failures) = (state.evaluations, state.total, state.failures);
+                (round, 0.5 * part, format!("{method} in {space}, {done} of {total} runs, {failures} failures"))
+            }
+            RetrainingProgress::Imitating { round, imitation } => {
+                (round, 1.0, format!("imitation {} of {}", imitation.round, imitation.rounds))
+            }
+            RetrainingProgress::Training { round, episode, episodes, fewest_contacts: fewest } => {
+                let fewest = fewest
+                    .map_or("no checkpoint yet".to_owned(), |fewest| format!("best checkpoint {fewest} collisions"));
+                let part = 0.5 + 0.5 * share(*episode, *episodes);
+                (round, part, format!("episode {episode} of {episodes}, {fewest}"))
+            }
+            RetrainingProgress::Evaluating { round } => (round, 1.0, "evaluating the candidate".to_owned()),
+        };
+        let part = (*round as f64 - 1.0 + part) / self.rounds as f64;
+        self.print("rounds", part, &format!("round {round} of {}: {message}", self.rounds));
+    }
+
+    fn print(&mut self, step: &'static str, part: f64, message: &str) {
+        let (_, begin, from) = match self.step {
+            Some(known) if known.0 == step => known,
+            _ => *self.step.insert((step, Instant::now(), part)),
+        };
+        let left = progress::format_time_left(begin.elapsed(), part - from, 1.0 - from);
+        self.bar.set_message(format!("{message}{left}"));
+        self.bar.tick();
+    }
 }

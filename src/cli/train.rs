@@ -3,6 +3,7 @@
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
+use std::time::Instant;
 
 use clap::Args;
 use indicatif::ProgressBar;
@@ -241,13 +242,14 @@ struct SeedProgress<'a> {
     bar: &'a ProgressBar,
     rewards: VecDeque<f64>,
     safe_share: Option<f64>,
+    begin: Instant,
 }
 
 const REWARD_WINDOW: usize = 20;
 
 impl<'a> SeedProgress<'a> {
     fn new(seed: u64, bar: &'a ProgressBar) -> Self {
-        Self { seed, bar, rewards: VecDeque::new(), safe_share: None }
+        Self { seed, bar, rewards: VecDeque::new(), safe_share: None, begin: Instant::now() }
     }
 
     fn update(&mut self, event: &TrainingEvent) {
@@ -265,14 +267,19 @@ impl<'a> SeedProgress<'a> {
                 ));
                 self.bar.inc(1);
             }
-            TrainingEvent::Imitation(done) => self.bar.set_message(format!(
-                "seed {} imitation {} of {}, {} decisions, {:.1} % of the drives collided",
-                self.seed,
-                done.round,
-                done.rounds,
-                done.rows,
-                100.0 * done.contact_share
-            )),
+            TrainingEvent::Imitation(done) => {
+                // A round fits all rows so far, so its time is about proportional to its number.
+                let work = |rounds: u32| 0.5 * f64::from(rounds) * (f64::from(rounds) + 1.0);
+                let left = progress::format_time_left(self.begin.elapsed(), work(done.round), work(done.rounds));
+                self.bar.set_message(format!(
+                    "seed {} imitation {} of {}, {} decisions, {:.1} % of the drives collided{left}",
+                    self.seed,
+                    done.round,
+                    done.rounds,
+                    done.rows,
+                    100.0 * done.contact_share
+                ));
+            }
             TrainingEvent::Evaluation { result, .. } => self.safe_share = Some(result.safe_share),
             // Shown in the log only.
             _ => {}

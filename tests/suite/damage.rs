@@ -59,7 +59,7 @@ fn count(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), Strin
 fn estimate(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
     let plan = RarePlan {
         controller: ControllerSpec::from_name("match-leader").unwrap().into(),
-        space: built_in_space("paper").unwrap(),
+        spaces: built_in_space("paper").unwrap().into(),
         estimator: EstimatorKind::Truth,
         specification: Specification::NoContact,
         method: RareMethod::Splitting,
@@ -90,7 +90,7 @@ fn retraining(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), 
         initial_policy: Policy::reference(),
         initial_policy_name: "policy".to_owned(),
         // Collisions in this space are quickly shown to be avoidable.
-        space: built_in_space("paper").unwrap(),
+        spaces: built_in_space("paper").unwrap().into(),
         regression_spaces: vec![built_in_space("traffic").unwrap()],
         training: TrainingConfig::parse(&tiny::with_small_memory(&tiny::retraining()), Path::new("tiny")).unwrap(),
         method: Method::Uniform,
@@ -104,7 +104,7 @@ fn retraining(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), 
             nominal: 3,
             regression: 3,
             test_draws: 3,
-            ..RetrainingSettings::default()
+            ..RetrainingSettings::DEFAULT
         },
         render_svg: |_| "<svg/>".to_owned(),
     };

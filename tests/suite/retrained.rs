@@ -55,7 +55,7 @@ fn the_committed_files_are_those_of_the_report() {
 fn the_cases_match_the_stated_hash() {
     let cases: Cases = read_json("retrained-on.json");
     let mut digest = Sha256::default();
-    for case in cases.scenarios(&space()).unwrap() {
+    for case in cases.scenarios(&space().into()).unwrap() {
         digest.update(serde_json::to_string(case.spec()).unwrap());
     }
     assert_eq!(digest.hexadecimal(), cases.scenarios_sha256);

@@ -2,8 +2,8 @@
 
 use super::*;
 
-const RETRAIN_ARGS: &str = "retrain --preset tiny.toml --rounds 2 --episodes 25 --budget 12 --draws 15 --kept-aside 8 \
-    --nominal 10 --judge 12 --regression-draws 10 --seed 3";
+const RETRAIN_ARGS: &str = "retrain --preset tiny.toml --space high-risk --rounds 2 --episodes 25 --budget 12 \
+    --draws 15 --kept-aside 8 --nominal 10 --judge 12 --regression-draws 10 --seed 3";
 
 fn file_sha256(path: &Path) -> String {
     sha256(fs::read(path).unwrap())
@@ -16,7 +16,7 @@ mod tier_2 {
     #[ignore = "tier 2: eight retrainings"]
     fn a_retraining_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_threads() {
         let folder = temp_folder();
-        // The preset's scenario spaces are not used, and the report does not mention them.
+        // The preset's scenario spaces replace the paper's distribution in the training.
         let traffic = "[[spaces]]\nspace = \"traffic\"\nweight = 1\ncosts_times = 100\n";
         fs::write(folder.path().join("tiny.toml"), format!("{}\n{traffic}", tiny::retraining())).unwrap();
         let json = format!("{RETRAIN_ARGS} --format json");
@@ -25,11 +25,14 @@ mod tier_2 {
         for round in ["01", "02"] {
             let path = folder.path().join("through/rounds").join(round).join("candidate.safetensors");
             let header = crumple_world::policy::Policy::load(&path).unwrap().header().training.clone();
-            assert_eq!(header.get("spaces"), None);
-            assert!(header["scenarios"].as_str().unwrap().contains("otherwise the space `high-risk`"), "{header}");
+            let scenarios = header["scenarios"].as_str().unwrap();
+            assert_contains(
+                scenarios,
+                &["a share of 0.2 of ", " cases (", "otherwise a share of 1 of the space `traffic`"],
+            );
         }
         let plan = fs::read_to_string(folder.path().join("through/retrain.toml")).unwrap();
-        assert!(!plan.contains("costs_times"), "{plan}");
+        assert_contains(&plan, &["nominal_share = 0", "costs_times = 100"]);
         let again = run_crumple(folder.path(), &format!("{RETRAIN_ARGS} --out killed"));
         assert_eq!(exit_code(&again), 2, "an existing retraining is not overwritten");
         let policy = "--policy through/rounds/01/before.safetensors";
@@ -91,6 +94,36 @@ fn check_report(folder: &Path, report: &Value) {
     assert_eq!(pairs, 12);
     assert!(fs::read_to_string(folder.join("report.md")).unwrap().starts_with("# Retraining of `policy` in the space"));
     assert!(fs::read_to_string(folder.join("report.svg")).unwrap().contains("<svg"));
+}
+
+/// The policy observes its last answer, and is attacked in every space of its preset.
+#[test]
+fn an_imitation_is_retrained_in_all_spaces() {
+    let folder = temp_folder();
+    let imitation = include_str!("../../../crates/learn/src/rl/tests/imitation.toml");
+    let spaces = ["high-risk", "paper"].map(|space| format!("[[spaces]]\nspace = \"{space}\"\nweight = 1\n")).concat();
+    let preset = tiny::retraining().replace("episodes = 1000", "episodes = 0");
+    fs::write(folder.path().join("tiny.toml"), format!("{preset}\n{imitation}\n{spaces}")).unwrap();
+    run_ok(folder.path(), "train --preset tiny.toml --seed 1 --out first");
+    let arguments = "retrain --policy first/seed-1/policy.safetensors --preset tiny.toml --rounds 1 --budget 12 \
+        --draws 15 --kept-aside 8 --nominal 10 --judge 12 --regression-draws 10 --format json";
+    let retrained = run_crumple(folder.path(), arguments);
+    let report = &json_objects(&retrained)[0];
+    assert_eq!(report["space"], "high-risk, paper");
+    let round = &report["rounds"][0];
+    assert_eq!((&round["found"]["draws"], &round["found"]["evaluations"]), (&30.into(), &72.into()));
+    assert_eq!((&round["trained"]["to_episode"], &report["judged_draws"]), (&0.into(), &24.into()));
+    let expected = if !report["retrained_standing"]["paper"].as_array().unwrap().is_empty() {
+        "gate: seed 0: the policy collides in paper-"
+    } else if round["acceptance"] == "accepted" {
+        ""
+    } else {
+        "gate: no round was accepted"
+    };
+    assert_contains(stderr(&retrained), &["It ended with its last round: 1 made, ", expected]);
+    assert_eq!(exit_code(&retrained), i32::from(!expected.is_empty()));
+    let again = run_crumple(folder.path(), &format!("{arguments} --resume"));
+    assert_eq!((exit_code(&again), stdout(&again)), (exit_code(&retrained), stdout(&retrained)));
 }
 
 #[test]

@@ -6,11 +6,12 @@ use serde::{Deserialize, Serialize};
 
 use super::RegressionResults;
 use super::regression_spaces::SIGNIFICANCE;
+use crate::rl::{TRAINING_LIMITS, TrafficUsefulness};
 use crumple_core::digits::format_rounded;
 use crumple_evidence::DiscordantPairs;
 
 /// Decision on a candidate.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 pub enum Acceptance {
     /// The candidate replaces the policy before it.
@@ -23,7 +24,7 @@ pub enum Acceptance {
 }
 
 /// Reason to reject a candidate.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case", deny_unknown_fields)]
 #[non_exhaustive]
 pub enum RejectionReason {
@@ -59,6 +60,11 @@ pub enum RejectionReason {
         space: String,
         /// Scenarios in which exactly one of the two policies is useful.
         drives: DiscordantPairs,
+    },
+    /// The candidate is less useful in everyday traffic.
+    WorseInTraffic {
+        /// Measures that are worse, each with its value before and after.
+        measures: Vec<(String, f64, f64)>,
     },
     /// No checkpoint was better than the policy before it.
     Unchanged,
@@ -131,11 +137,54 @@ pub fn decide_acceptance(before: &RegressionResults, after: &RegressionResults) 
             objections.push(RejectionReason::LessUseful { space: after.space.clone(), drives });
         }
     }
+    if let (Some(before), Some(after)) = (&before.usefulness, &after.usefulness) {
+        let measures = worse_in_traffic(before, after);
+        if !measures.is_empty() {
+            objections.push(RejectionReason::WorseInTraffic { measures });
+        }
+    }
     let (before, after) = (before.validation_set.len(), after.validation_set.len());
     if after > before {
         objections.push(RejectionReason::ValidationSet { before, after });
     }
     if objections.is_empty() { Acceptance::Accepted } else { Acceptance::Rejected { objections } }
+}
+
+/// Names of the values of [`traffic_measures`].
+pub(super) const TRAFFIC_MEASURES: [&str; 6] = [
+    "collisions",
+    "hard unnecessary braking",
+    "left behind",
+    "rms acceleration, times idm",
+    "rms jerk, times idm",
+    "mean time gap, s",
+];
+
+pub(super) fn traffic_measures(useful: &TrafficUsefulness) -> [f64; 6] {
+    [
+        useful.contacts as f64,
+        useful.hard_braking as f64,
+        useful.fell_behind as f64,
+        useful.acceleration_times_idm,
+        useful.jerk_times_idm,
+        useful.mean_time_gap_s,
+    ]
+}
+
+/// Relative increase of a measure of comfort that does not count as worse.
+const COMFORT_TOLERANCE: f64 = 0.02;
+
+/// Lists the measures that are worse: any more faults; comfort and mean time gap if clearly above both the value before
+/// and that of `idm` or the limit.
+fn worse_in_traffic(before: &TrafficUsefulness, after: &TrafficUsefulness) -> Vec<(String, f64, f64)> {
+    let limits = [None, None, None, Some(1.0), Some(1.0), Some(TRAINING_LIMITS.time_gap_range_s[1])];
+    let values = traffic_measures(before).into_iter().zip(traffic_measures(after));
+    let all = TRAFFIC_MEASURES.into_iter().zip(limits).zip(values);
+    all.filter(|((_, limit), (before, after))| {
+        *after > limit.map_or(*before, |limit: f64| limit.max(*before) * (1.0 + COMFORT_TOLERANCE))
+    })
+    .map(|((name, _), (before, after))| (name.to_owned(), before, after))
+    .collect()
 }
 
 pub(super) fn discordant_pairs(before: &[u64], after: &[u64]) -> DiscordantPairs {
@@ -186,6 +235,12 @@ impl fmt::Display for RejectionReason {
                 let (new, fixed, p) = (only_second_fails, only_first_fails, format_rounded(pairs.p_value(), 2));
                 write!(out, "{new} drives no longer useful and {fixed} newly useful in {space} (p = {p})")
             }
+            Self::WorseInTraffic { measures } => {
+                let each = measures.iter().map(|(measure, before, after)| {
+                    format!("{measure} {} instead of {}", format_rounded(*after, 3), format_rounded(*before, 3))
+                });
+                write!(out, "in traffic {}", each.collect::<Vec<_>>().join(", "))
+            }
             Self::Unchanged => out.write_str("no checkpoint was better than the policy before the round"),
             Self::Diverged { problem } => write!(out, "the training diverged: {problem}"),
         }
@@ -204,7 +259,7 @@ mod tests {
             paper: paper.iter().map(|&name| name.to_owned()).collect(),
             nominal: nominal.to_vec(),
             validation_set: kept_aside.to_vec(),
-            regression: Vec::new(),
+            ..RegressionResults::default()
         }
     }
 
@@ -257,6 +312,30 @@ mod tests {
         assert_eq!(objections(&many, &[]), [worse]);
         let drives = DiscordantPairs { only_second_fails: 20, only_first_fails: 1 };
         assert_eq!(objections(&[], &many), [RejectionReason::LessUseful { space: "traffic".to_owned(), drives }]);
+    }
+
+    #[test]
+    fn one_measure_of_usability_cannot_be_traded_for_another() {
+        let useful = TrafficUsefulness {
+            scenario_count: 1000,
+            contacts: 0,
+            hard_braking: 3,
+            fell_behind: 0,
+            acceleration_times_idm: 1.1,
+            jerk_times_idm: 0.9,
+            mean_time_gap_s: 1.9,
+        };
+        let before = RegressionResults { usefulness: Some(useful), ..results(&[], &[], &[]) };
+        let worse = |usefulness| {
+            let after = RegressionResults { usefulness: Some(usefulness), ..before.clone() };
+            objections(&before, &after).iter().map(ToString::to_string).collect::<Vec<_>>()
+        };
+        assert!(worse(TrafficUsefulness { acceleration_times_idm: 1.12, jerk_times_idm: 1.01, ..useful }).is_empty());
+        assert!(worse(TrafficUsefulness { hard_braking: 2, mean_time_gap_s: 1.99, ..useful }).is_empty());
+        let hard = worse(TrafficUsefulness { hard_braking: 4, jerk_times_idm: 0.5, ..useful });
+        assert_eq!(hard, ["in traffic hard unnecessary braking 4 instead of 3"]);
+        let jerk = worse(TrafficUsefulness { hard_braking: 0, jerk_times_idm: 1.1, ..useful });
+        assert_eq!(jerk, ["in traffic rms jerk, times idm 1.1 instead of 0.9"]);
     }
 
     proptest! {

@@ -3,10 +3,11 @@
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
+use super::SearchedSpaces;
 use super::corpus::CORPUS_VERSION;
-use super::files::{scenarios_sha256, space_sha256};
+use super::files::scenarios_sha256;
+use crate::rl::ScenarioSource;
 use crumple_core::digest::sha256;
-use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::scenario::{Scenario, ScenarioSpec};
 
 /// Avoidable scenarios in which the policy of some round collided: the file `retrained-on.json`.
@@ -15,9 +16,9 @@ use crumple_world::scenario::{Scenario, ScenarioSpec};
 pub struct Cases {
     /// Version of the format: 1.
     pub version: u32,
-    /// Name of the space.
+    /// Name of the space, or names of the spaces.
     pub space: String,
-    /// SHA-256 of the space as JSON.
+    /// SHA-256 of the spaces as JSON.
     pub space_sha256: String,
     /// SHA-256 over the JSON of all cases, counterexamples first.
     pub scenarios_sha256: String,
@@ -28,23 +29,24 @@ pub struct Cases {
 }
 
 /// Random scenarios of one seed.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CollidingDraws {
     /// Round that found them.
     pub round: u64,
     /// Seed of the scenarios.
     pub seed: u64,
-    /// Indices for [`ScenarioSpace::draw`].
+    /// Indices for [`ScenarioSpace::draw`](crumple_world::scenario::space::ScenarioSpace::draw) of the space with the
+    /// number index modulo the number of spaces.
     pub indices: Vec<u64>,
 }
 
 impl Cases {
-    pub(super) fn empty(space: &ScenarioSpace) -> Result<Self, RetrainError> {
+    pub(super) fn empty(space: &SearchedSpaces) -> Result<Self, RetrainError> {
         Ok(Self {
             version: CORPUS_VERSION,
-            space: space.name().to_owned(),
-            space_sha256: space_sha256(space)?,
+            space: space.name(),
+            space_sha256: space.sha256()?,
             scenarios_sha256: sha256([]),
             draws: Vec::new(),
             counterexamples: Vec::new(),
@@ -55,7 +57,7 @@ impl Cases {
     ///
     /// # Errors
     /// [`RetrainError::Scenario`] if one of them is invalid.
-    pub fn scenarios(&self, space: &ScenarioSpace) -> Result<Vec<Scenario>, RetrainError> {
+    pub fn scenarios(&self, space: &SearchedSpaces) -> Result<Vec<Scenario>, RetrainError> {
         let counterexamples = self.counterexamples.iter().map(|spec| Scenario::new(spec.clone()));
         let drawn = self.draws.iter().flat_map(|of| of.indices.iter().map(|&index| space.draw(of.seed, index)));
         Ok(counterexamples.chain(drawn).collect::<Result<_, _>>()?)
@@ -63,7 +65,7 @@ impl Cases {
 
     pub(super) fn with_round(
         mut self,
-        space: &ScenarioSpace,
+        space: &SearchedSpaces,
         draws: CollidingDraws,
         counterexamples: Vec<ScenarioSpec>,
     ) -> Result<Self, RetrainError> {

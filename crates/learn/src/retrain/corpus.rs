@@ -4,13 +4,14 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
-use super::files::{read_json, scenarios_sha256, space_sha256, write_json};
+use super::SearchedSpaces;
+use super::files::{read_json, scenarios_sha256, write_json};
 use super::progress::{RetrainingObserver, RetrainingProgress};
+use crate::rl::ScenarioSource;
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityClass};
 use crumple_store::run_folder::{RunFolder, RunFolderError};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
-use crumple_world::scenario::space::ScenarioSpace;
 use crumple_world::sim::{
     Contact, ControllerKind, NamedController, RecordingLevel, Run, RunError, RunOptions, simulate_batch,
 };
@@ -28,9 +29,9 @@ const MIN_AVOIDABLE_SHARE: f64 = 0.01;
 pub struct Corpus {
     /// Version of the format: 1.
     pub version: u32,
-    /// Name of the space.
+    /// Name of the space, or names of the spaces.
     pub space: String,
-    /// SHA-256 of the space as JSON.
+    /// SHA-256 of the spaces as JSON.
     pub space_sha256: String,
     /// Seed of the random scenarios.
     pub seed: u64,
@@ -47,11 +48,11 @@ pub struct Corpus {
 }
 
 impl Corpus {
-    pub(super) fn empty(space: &ScenarioSpace, seed: u64) -> Result<Self, RetrainError> {
+    pub(super) fn empty(space: &SearchedSpaces, seed: u64) -> Result<Self, RetrainError> {
         Ok(Self {
             version: CORPUS_VERSION,
-            space: space.name().to_owned(),
-            space_sha256: space_sha256(space)?,
+            space: space.name(),
+            space_sha256: space.sha256()?,
             seed,
             draws: 0,
             avoidable: 0,
@@ -71,15 +72,15 @@ impl Corpus {
     /// Returns the corpus's scenarios, in order.
     ///
     /// # Errors
-    /// [`RetrainError::Scenario`] if a scenario is invalid, which [`ScenarioSpace::draw`] excludes.
-    pub fn scenarios(&self, space: &ScenarioSpace) -> Result<Vec<Scenario>, RetrainError> {
+    /// [`RetrainError::Scenario`] if a scenario is invalid, which no space contains.
+    pub fn scenarios(&self, space: &SearchedSpaces) -> Result<Vec<Scenario>, RetrainError> {
         Ok(self.indices().map(|index| space.draw(self.seed, index)).collect::<Result<_, _>>()?)
     }
 
     /// Classifies random scenarios until `wanted` are avoidable; passes each one's witness results to `seen`.
     pub(super) fn classify_next(
         &mut self,
-        space: &ScenarioSpace,
+        space: &SearchedSpaces,
         wanted: u64,
         witnesses: &[NamedController],
         estimator: EstimatorKind,
@@ -108,7 +109,7 @@ impl Corpus {
         Ok(())
     }
 
-    pub(super) fn seal(&mut self, space: &ScenarioSpace) -> Result<(), RetrainError> {
+    pub(super) fn seal(&mut self, space: &SearchedSpaces) -> Result<(), RetrainError> {
         self.scenarios_sha256 = scenarios_sha256(&self.scenarios(space)?)?;
         Ok(())
     }
@@ -116,7 +117,7 @@ impl Corpus {
     /// Reads the corpus from a file, or builds it if the file is missing or incomplete.
     pub(super) fn load_or_build(
         (work, name): (&RunFolder, &'static str),
-        space: &ScenarioSpace,
+        space: &SearchedSpaces,
         (seed, wanted): (u64, u64),
         witnesses: &[NamedController],
         estimator: EstimatorKind,

@@ -44,6 +44,8 @@ mod regression_spaces;
 mod report;
 mod round;
 mod run;
+mod search;
+mod spaces;
 mod test_set;
 mod training;
 
@@ -56,5 +58,7 @@ pub use progress::RetrainingProgress;
 pub use regression_results::RegressionResults;
 pub use regression_spaces::{RegressionSpaceResult, SIGNIFICANCE};
 pub use report::{FileHash, RetrainingEnding, RetrainingReport};
-pub use round::{Checkpoint, Round, RoundFindings, RoundTraining};
+pub use round::{Checkpoint, Round, RoundTraining};
+pub use search::RoundFindings;
+pub use spaces::SearchedSpaces;
 pub use test_set::{ControllerTally, PairedOutcomes, TestSetResults};

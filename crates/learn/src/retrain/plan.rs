@@ -5,12 +5,12 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use super::RetrainError;
 use super::files::{
     PLAN, POLICY, REPORT_JSON, REPORT_MARKDOWN, REPORT_SVG, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET,
     space_sha256,
 };
 use super::report::RetrainingReport;
+use super::{RetrainError, SearchedSpaces};
 use crumple_store::difference;
 use crumple_store::run_folder::{RunFolder, RunFolderError, RunFolderOptions};
 
@@ -32,12 +32,12 @@ pub struct RetrainingPlan {
     pub initial_policy: Arc<Policy>,
     /// Built-in name or path of the policy.
     pub initial_policy_name: String,
-    /// Scenario space that is searched for counterexamples.
-    pub space: ScenarioSpace,
+    /// Scenario spaces that are searched for counterexamples.
+    pub spaces: SearchedSpaces,
     /// Spaces in which no round may make the policy worse, with distinct names.
     pub regression_spaces: Vec<ScenarioSpace>,
     /// Configuration of the learner. The settings replace its number of episodes, and avoidable random scenarios of the
-    /// space replace its ranking scenarios. Its spaces are ignored.
+    /// searched spaces replace its ranking scenarios.
     pub training: TrainingConfig,
     /// Search method.
     pub method: Method,
@@ -55,13 +55,13 @@ pub struct RetrainingPlan {
 pub struct RetrainingSettings {
     /// Maximum number of rounds.
     pub rounds: u64,
-    /// Episodes of training per round.
+    /// Episodes of reinforcement learning per round.
     pub episodes: u64,
-    /// Evaluations of the search method per round, and of each reference search.
+    /// Evaluations of the search method per round and space, and of each reference search.
     pub budget: u64,
-    /// Random scenarios of the space that each round simulates besides.
+    /// Random scenarios of each space that a round simulates besides.
     pub draws: u64,
-    /// Avoidable random scenarios of the validation set, which accepts or rejects a round.
+    /// Avoidable random scenarios of the validation set, which accepts or rejects a round, per space.
     #[serde(rename = "kept_aside")]
     pub validation_draws: u64,
     /// Random scenarios of the paper's distribution for acceptance.
@@ -69,30 +69,29 @@ pub struct RetrainingSettings {
     /// Random scenarios of each regression space for acceptance.
     #[serde(default, skip_serializing_if = "is_default")]
     pub regression: u64,
-    /// Avoidable random scenarios of the test set.
+    /// Avoidable random scenarios of the test set, per space.
     #[serde(rename = "judged")]
     pub test_draws: u64,
-    /// Share of the training episodes from the paper's distribution.
+    /// Share of the training episodes from the paper's distribution, unless the preset has spaces of its own.
     pub nominal_share: f64,
-    /// Share of the other episodes that use a case; the rest are random scenarios of the space.
+    /// Share of the other episodes that use a case; the rest are random scenarios of the spaces.
     pub case_share: f64,
 }
 
-impl Default for RetrainingSettings {
-    fn default() -> Self {
-        Self {
-            rounds: 3,
-            episodes: 1000,
-            budget: 1000,
-            draws: 1000,
-            validation_draws: 2000,
-            nominal: 10_000,
-            regression: 1000,
-            test_draws: 10_000,
-            nominal_share: 0.2,
-            case_share: 0.2,
-        }
-    }
+impl RetrainingSettings {
+    /// Sizes by default.
+    pub const DEFAULT: Self = Self {
+        rounds: 3,
+        episodes: 1000,
+        budget: 1000,
+        draws: 1000,
+        validation_draws: 2000,
+        nominal: 10_000,
+        regression: 1000,
+        test_draws: 10_000,
+        nominal_share: 0.2,
+        case_share: 0.2,
+    };
 }
 
 /// Text of the training preset of a retraining.
@@ -116,7 +115,10 @@ struct PlanFile<'a> {
     seed: u64,
     settings: RetrainingSettings,
     training: &'a TrainingConfig,
-    space: &'a SpaceSpec,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    space: Option<&'a SpaceSpec>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    spaces: Vec<SpaceHash<'a>>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     regression: Vec<SpaceHash<'a>>,
 }
@@ -134,6 +136,9 @@ pub(super) const TEST_SET_SEED: u64 = 0x006a_7564_6765_6420;
 pub(super) const NOMINAL_SEED: u64 = 0x006e_6f6d_696e_616c;
 pub(super) const REGRESSION_SEED: u64 = 0x0072_6567_7265_7373;
 
+/// Factor on the learning rate of an imitation.
+const IMITATION_RATE_FACTOR: f32 = 0.1;
+
 /// Offsets of the derived seeds of searches and of trainings.
 const SEARCH_SEED_BASE: u64 = 1 << 32;
 const TRAINING_SEED_BASE: u64 = 2 << 32;
@@ -145,9 +150,15 @@ impl RetrainingPlan {
         self.training.environment.estimator
     }
 
-    /// Returns the configuration up to `episodes`, without the preset's spaces, which are never drawn from.
+    /// Returns the configuration up to `episodes`. An imitation continues with one round at a low rate, so that the
+    /// policy keeps its other answers.
     pub(super) fn training_until(&self, episodes: u64) -> TrainingConfig {
-        TrainingConfig { episodes, spaces: Vec::new(), ..self.training.clone() }
+        let mut training = TrainingConfig { episodes, ..self.training.clone() };
+        if let Some(imitation) = &mut training.imitation {
+            imitation.rounds = 1;
+            imitation.rate *= IMITATION_RATE_FACTOR;
+        }
+        training
     }
 
     pub(super) fn search_seed(&self, round: u64) -> u64 {
@@ -163,7 +174,10 @@ impl RetrainingPlan {
     /// # Errors
     /// [`RetrainError::Encoding`] in principle, if the writer fails.
     pub fn to_toml(&self) -> Result<String, RetrainError> {
-        let named = |space| Ok(SpaceHash { space: ScenarioSpace::name(space), sha256: space_sha256(space)? });
+        fn named(spaces: &[ScenarioSpace]) -> Result<Vec<SpaceHash<'_>>, RetrainError> {
+            spaces.iter().map(|space| Ok(SpaceHash { space: space.name(), sha256: space_sha256(space)? })).collect()
+        }
+        let spaces = self.spaces.as_slice();
         let file = PlanFile {
             version: RETRAIN_VERSION,
             crumple: env!("CARGO_PKG_VERSION"),
@@ -173,8 +187,9 @@ impl RetrainingPlan {
             seed: self.seed,
             settings: self.settings,
             training: &self.training_until(self.training.episodes),
-            space: self.space.spec(),
-            regression: self.regression_spaces.iter().map(named).collect::<Result<_, RetrainError>>()?,
+            space: if let [space] = spaces { Some(space.spec()) } else { None },
+            spaces: if spaces.len() > 1 { named(spaces)? } else { Vec::new() },
+            regression: named(&self.regression_spaces)?,
         };
         toml::to_string(&file).map_err(RetrainError::encoding)
     }

@@ -1,5 +1,6 @@
 //! Progress of a retraining.
 
+use crate::rl::ImitationRound;
 use crumple_core::observer::Observer;
 use crumple_search::falsify::campaign::CampaignProgress;
 
@@ -19,6 +20,10 @@ pub enum RetrainingProgress {
     Searching {
         /// Round, from 1.
         round: u64,
+        /// Name of the space.
+        space: String,
+        /// Number of the space, from 0, and number of spaces.
+        space_index: [usize; 2],
         /// Progress of the campaign.
         progress: CampaignProgress,
     },
@@ -28,6 +33,13 @@ pub enum RetrainingProgress {
         round: u64,
         /// Number of random scenarios.
         draws: u64,
+    },
+    /// The learner imitates an expert.
+    Imitating {
+        /// Round, from 1.
+        round: u64,
+        /// The last round of the imitation.
+        imitation: ImitationRound,
     },
     /// The learner trains.
     Training {

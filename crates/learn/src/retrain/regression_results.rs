@@ -7,14 +7,15 @@ use serde::{Deserialize, Serialize};
 use super::RetrainError;
 use super::corpus::{Corpus, colliding_indices};
 use super::plan::{NOMINAL_SEED, RetrainingPlan};
-use super::regression_spaces::{RegressionSpace, RegressionSpaceResult};
+use super::regression_spaces::{RegressionSet, RegressionSpaceResult};
+use crate::rl::TrafficUsefulness;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario, built_in_scenario_names};
 use crumple_world::sim::ControllerKind;
 
 /// Failures of a policy that decide on acceptance.
-#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct RegressionResults {
     /// Scenarios of the paper, each with the estimator.
@@ -27,6 +28,9 @@ pub struct RegressionResults {
     /// Results in each regression space.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub regression: Vec<RegressionSpaceResult>,
+    /// Usefulness in everyday traffic, if the preset selects checkpoints by it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub usefulness: Option<TrafficUsefulness>,
 }
 
 impl RegressionResults {
@@ -34,7 +38,7 @@ impl RegressionResults {
         policy: &Arc<Policy>,
         plan: &RetrainingPlan,
         kept_aside: &Corpus,
-        regression: &[RegressionSpace],
+        regression: &RegressionSet,
     ) -> Result<Self, RetrainError> {
         let controller = ControllerKind::Policy(Arc::clone(policy));
         let collided = |scenarios: &[Scenario], estimator| colliding_indices(scenarios, &controller, estimator);
@@ -49,9 +53,9 @@ impl RegressionResults {
         let nominal = (0..plan.settings.nominal).map(|index| draws.draw(index)).collect::<Result<Vec<_>, _>>()?;
         let nominal = collided(&nominal, plan.estimator())?.into_iter().map(|place| place as u64).collect();
         let indices: Vec<u64> = kept_aside.indices().collect();
-        let aside = collided(&kept_aside.scenarios(&plan.space)?, plan.estimator())?;
+        let aside = collided(&kept_aside.scenarios(&plan.spaces)?, plan.estimator())?;
         let kept_aside = aside.into_iter().filter_map(|place| indices.get(place).copied()).collect();
-        let regression = regression.iter().map(|space| space.evaluate(&controller)).collect::<Result<_, _>>()?;
-        Ok(Self { paper, nominal, validation_set: kept_aside, regression })
+        let (regression, usefulness) = regression.evaluate(&controller)?;
+        Ok(Self { paper, nominal, validation_set: kept_aside, regression, usefulness })
     }
 }

@@ -3,8 +3,8 @@
 use serde::{Deserialize, Serialize};
 
 use super::RetrainError;
-use super::plan::{REGRESSION_SEED, RetrainingPlan};
-use crate::rl::measure_usefulness;
+use super::plan::{NOMINAL_SEED, REGRESSION_SEED, RetrainingPlan};
+use crate::rl::{TrafficBenchmark, TrafficUsefulness, measure_usefulness};
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::UsefulnessMeasures;
 use crumple_world::observation::EstimatorKind;
@@ -36,8 +36,33 @@ pub struct RegressionSpaceResult {
     pub not_useful: Option<Vec<u64>>,
 }
 
+/// Everything apart from the paper's scenarios and the validation set that a round must not make worse.
+pub(super) struct RegressionSet {
+    spaces: Vec<RegressionSpace>,
+    /// Everyday traffic, if the preset selects checkpoints by usefulness.
+    traffic: Option<TrafficBenchmark>,
+}
+
+impl RegressionSet {
+    pub(super) fn new(plan: &RetrainingPlan) -> Result<Self, RetrainError> {
+        let spaces = plan.regression_spaces.iter().map(|space| RegressionSpace::new(plan, space));
+        let spaces = spaces.collect::<Result<Vec<_>, _>>()?;
+        let is_checked = !spaces.is_empty() && plan.training.evaluation.usefulness_draws > 0;
+        let traffic = || TrafficBenchmark::new(NOMINAL_SEED, plan.settings.nominal, plan.estimator());
+        Ok(Self { spaces, traffic: is_checked.then(traffic).transpose()? })
+    }
+
+    pub(super) fn evaluate(
+        &self,
+        controller: &ControllerKind,
+    ) -> Result<(Vec<RegressionSpaceResult>, Option<TrafficUsefulness>), RetrainError> {
+        let spaces = self.spaces.iter().map(|space| space.evaluate(controller)).collect::<Result<_, _>>()?;
+        Ok((spaces, self.traffic.as_ref().map(|traffic| traffic.evaluate(controller)).transpose()?))
+    }
+}
+
 /// Random scenarios of a regression space.
-pub(super) struct RegressionSpace {
+struct RegressionSpace {
     name: String,
     draws: Vec<Scenario>,
     estimator: EstimatorKind,
@@ -46,7 +71,7 @@ pub(super) struct RegressionSpace {
 }
 
 impl RegressionSpace {
-    pub(super) fn new(plan: &RetrainingPlan, space: &ScenarioSpace) -> Result<Self, RetrainError> {
+    fn new(plan: &RetrainingPlan, space: &ScenarioSpace) -> Result<Self, RetrainError> {
         let draws = (0..plan.settings.regression).map(|index| space.draw(REGRESSION_SEED, index));
         let mut drawn = Self {
             name: space.name().to_owned(),
@@ -59,7 +84,7 @@ impl RegressionSpace {
         Ok(drawn)
     }
 
-    pub(super) fn evaluate(&self, controller: &ControllerKind) -> Result<RegressionSpaceResult, RetrainError> {
+    fn evaluate(&self, controller: &ControllerKind) -> Result<RegressionSpaceResult, RetrainError> {
         let options = RunOptions::new(controller.clone()).with_estimator(self.estimator);
         let level = if self.checks_usefulness { RecordingLevel::Trace } else { RecordingLevel::Summary };
         let (mut contacts, mut of_no_use) = (Vec::new(), Vec::new());
@@ -115,20 +140,19 @@ mod tests {
         let plan = RetrainingPlan {
             initial_policy: Arc::clone(&first),
             initial_policy_name: "retrained".to_owned(),
-            space: file::from_toml(QUEUE, Path::new("queue.toml")).unwrap(),
+            spaces: file::from_toml(QUEUE, Path::new("queue.toml")).unwrap().into(),
             regression_spaces: BUILT_IN_SPACES.iter().filter_map(|(name, ..)| built_in_space(name)).collect(),
             training: training_preset().unwrap(),
             method: Method::Uniform,
             seed: 0,
-            settings: RetrainingSettings { nominal: 20, regression: 60, ..RetrainingSettings::default() },
+            settings: RetrainingSettings { nominal: 20, regression: 60, ..RetrainingSettings::DEFAULT },
             render_svg: |_| String::new(),
         };
-        let mut kept_aside = Corpus::empty(&plan.space, VALIDATION_SET_SEED).unwrap();
+        let mut kept_aside = Corpus::empty(&plan.spaces, VALIDATION_SET_SEED).unwrap();
         while kept_aside.avoidable < 60 {
-            kept_aside.classify_next(&plan.space, 60, &witnesses(&[]), plan.estimator(), |_| {}).unwrap();
+            kept_aside.classify_next(&plan.spaces, 60, &witnesses(&[]), plan.estimator(), |_| {}).unwrap();
         }
-        let regression: Vec<_> =
-            plan.regression_spaces.iter().map(|space| RegressionSpace::new(&plan, space).unwrap()).collect();
+        let regression = RegressionSet::new(&plan).unwrap();
         let of = |policy: Arc<Policy>| RegressionResults::evaluate(&policy, &plan, &kept_aside, &regression).unwrap();
         let (before, after) = (of(first), of(Policy::reference()));
         let collisions = [&before, &after].map(|results| results.validation_set.len());

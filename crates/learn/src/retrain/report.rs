@@ -4,16 +4,18 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use super::acceptance::{FailureChange, discordant_pairs};
+use super::acceptance::{FailureChange, TRAFFIC_MEASURES, discordant_pairs, traffic_measures};
 use super::files::{
     POLICY, REPORT_JSON, REPORT_MARKDOWN, REPORT_SVG, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET, to_json,
 };
 use super::plan::{RETRAIN_VERSION, RetrainingPlan, RetrainingSettings};
 use super::regression_spaces::SIGNIFICANCE;
-use super::round::{Round, RoundFindings};
+use super::round::Round;
+use super::search::RoundFindings;
 use super::test_set::{CONFIDENCE, ControllerTally, PairedOutcomes, TestSetResults};
 use super::{RegressionResults, RetrainError};
 use crumple_core::digest::sha256;
+use crumple_core::digits::format_rounded;
 use crumple_core::quoting::{MarkdownCode, MarkdownText};
 use crumple_store::run_folder::RunFolder;
 
@@ -63,7 +65,7 @@ pub struct RetrainingReport {
     pub first_sha256: String,
     /// SHA-256 of the final policy.
     pub retrained_sha256: String,
-    /// Name of the space.
+    /// Name of the space, or names of the spaces.
     pub space: String,
     /// Name of the training configuration.
     pub preset: String,
@@ -117,7 +119,7 @@ impl RetrainingReport {
             first: plan.initial_policy_name.clone(),
             first_sha256: plan.initial_policy.digest(),
             retrained_sha256: hash(POLICY)?.sha256,
-            space: plan.space.name().to_owned(),
+            space: plan.spaces.name(),
             preset: plan.training.name.clone(),
             method: plan.method.name().to_owned(),
             seed: plan.seed,
@@ -167,12 +169,15 @@ impl RetrainingReport {
 
     fn write_markdown(&self, out: &mut String) -> std::fmt::Result {
         let RetrainingSettings { rounds, episodes, budget, draws, validation_draws, nominal, .. } = self.settings;
-        writeln!(out, "# Retraining of {} in the space {}\n", MarkdownCode(&self.first), MarkdownCode(&self.space))?;
+        let is_one = !self.space.contains(", ");
+        let (spaces, each) = if is_one { ("the space", "the") } else { ("the spaces", "each") };
+        writeln!(out, "# Retraining of {} in {spaces} {}\n", MarkdownCode(&self.first), MarkdownCode(&self.space))?;
+        let learning = if episodes == 0 { "imitation".to_owned() } else { format!("{episodes} episodes") };
         writeln!(
             out,
-            "At most {rounds} round{} of {episodes} episodes (preset {}, seed {}): {:.0} % of the episodes from the \
-             paper's distribution, {:.0} % of the others from collected cases, the rest random scenarios of the \
-             space. Each search: {budget} evaluations of `{}` and of each reference search, and {draws} random \
+            "At most {rounds} round{} of {learning} (preset {}, seed {}): {:.0} % of the episodes from the \
+             paper's distribution, {:.0} % of the others from collected cases, the rest random scenarios of \
+             {spaces}. Each search: {budget} evaluations of `{}` and of each reference search, and {draws} random \
              scenarios. {}\n",
             if rounds == 1 { "" } else { "s" },
             MarkdownCode(preset_name(&self.preset)),
@@ -190,9 +195,9 @@ impl RetrainingReport {
             out,
             "\nA change shows the collisions of the policy before the round → of the candidate (fixed, new). *Cases* \
              are all avoidable scenarios collected up to the round. The *validation set* has {validation_draws} \
-             avoidable random scenarios of the space. *paper-1..3* are the paper's scenarios, each through the filter \
-             and with the true state. *paper's distribution* stands for {nominal} random scenarios of it. A round is \
-             accepted if there is no new failure in the last two columns, no more collisions in the validation set, \
+             avoidable random scenarios of {each} space. *paper-1..3* are the paper's scenarios, each through the \
+             filter and with the true state. *paper's distribution* stands for {nominal} random scenarios of it. A round \
+             is accepted if there is no new failure in the last two columns, no more collisions in the validation set, \
              and the candidate is not significantly worse in any regression space.\n"
         )?;
         self.write_regression(out)?;
@@ -203,7 +208,9 @@ impl RetrainingReport {
         writeln!(out, "\nFirst policy: `{}`. Plan: `{}`.", self.first_sha256, self.plan_sha256)
     }
 
-    fn ending_sentence(&self) -> String {
+    /// Returns a sentence that states why the retraining ended.
+    #[must_use]
+    pub fn ending_sentence(&self) -> String {
         let accepted = self.rounds.iter().filter(|round| round.acceptance.is_accepted()).count();
         let made = format!("{} made, {accepted} accepted", self.rounds.len());
         match &self.ending {
@@ -278,6 +285,15 @@ impl RetrainingReport {
                 change(&was.contacts, &is.contacts),
                 drives.map_or("–".to_owned(), |(was, is)| change(was, is))
             )?;
+        }
+        out.push('\n');
+        let (Some(was), Some(is)) = (&self.first_results.usefulness, &self.retrained_results.usefulness) else {
+            return Ok(());
+        };
+        writeln!(out, "| in {} drives of everyday traffic | first | retrained |\n|---|---|---|", is.scenario_count)?;
+        let values = traffic_measures(was).into_iter().zip(traffic_measures(is));
+        for (name, (was, is)) in TRAFFIC_MEASURES.into_iter().zip(values) {
+            writeln!(out, "| {name} | {} | {} |", format_rounded(was, 3), format_rounded(is, 3))?;
         }
         out.push('\n');
         Ok(())

@@ -1,51 +1,23 @@
-//! One round: search, training, evaluation and decision.
+//! One round: training, evaluation and decision.
 
 use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
 use super::acceptance::{Acceptance, FailureChange, RejectionReason, decide_acceptance};
-use super::cases::{Cases, CollidingDraws};
-use super::corpus::{Corpus, classify_scenarios, colliding_indices};
-use super::files::{LEARNER, ROUND_RECORD, read_json, write_json};
+use super::cases::Cases;
+use super::corpus::{Corpus, colliding_indices};
+use super::files::{LEARNER, ROUND_RECORD, write_json};
 use super::plan::RetrainingPlan;
 use super::progress::{RetrainingObserver, RetrainingProgress};
-use super::regression_spaces::RegressionSpace;
+use super::regression_spaces::RegressionSet;
+use super::search::RoundFindings;
 use super::test_set::witnesses;
 use super::{RegressionResults, RetrainError};
 use crate::rl::TrainingError;
-use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
-use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_store::run_folder::{RunFolder, RunFolderError};
 use crumple_world::policy::Policy;
-use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::{ControllerKind, NamedController};
-
-/// Results of a search.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
-pub struct RoundFindings {
-    /// Evaluations of the campaign, by all its methods.
-    pub evaluations: u64,
-    /// Evaluations that ended in a collision.
-    pub failures: u64,
-    /// Distinct avoidable counterexamples.
-    pub avoidable: usize,
-    /// Counterexamples that are proved unavoidable.
-    pub unavoidable: usize,
-    /// Undecided counterexamples.
-    pub undecided: usize,
-    /// Random scenarios of the space that were simulated besides.
-    pub draws: u64,
-    /// Random scenarios that ended in a collision.
-    #[serde(rename = "draws_touched")]
-    pub colliding_draws: usize,
-    /// Avoidable random scenarios among them.
-    #[serde(rename = "draws_avoidable")]
-    pub avoidable_draws: CollidingDraws,
-    /// Avoidable counterexamples, by the file of the scenario.
-    pub counterexamples: Vec<String>,
-}
 
 /// Record of the training of a round.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -55,7 +27,7 @@ pub struct RoundTraining {
     pub seed: u64,
     /// Episodes before the round.
     pub from_episode: u64,
-    /// Episodes after the round; 0 if the training diverged.
+    /// Episodes after the round; 0 if the training diverged, or is an imitation alone.
     pub to_episode: u64,
     /// Episode after which the candidate was taken.
     pub best_episode: u64,
@@ -111,7 +83,7 @@ pub(super) struct RoundContext<'a> {
     pub(super) run_folder: &'a RunFolder,
     pub(super) validation_set: &'a Corpus,
     pub(super) selection_set: &'a Corpus,
-    pub(super) regression_spaces: &'a [RegressionSpace],
+    pub(super) regression: &'a RegressionSet,
     pub(super) policy: Arc<Policy>,
     pub(super) results: RegressionResults,
     pub(super) cases: Cases,
@@ -119,8 +91,6 @@ pub(super) struct RoundContext<'a> {
 }
 
 const CANDIDATE: &str = "candidate.safetensors";
-const FINDINGS: &str = "found.json";
-const SEARCH: &str = "search";
 
 pub(super) fn round_path(round: u64, name: &str) -> String {
     format!("rounds/{round:02}/{name}")
@@ -148,73 +118,6 @@ impl RoundContext<'_> {
         round_path(self.round_number(), name)
     }
 
-    /// Searches for counterexamples, or returns the stored result.
-    pub(super) fn search(&self, watch: &RetrainingObserver<'_>) -> Result<RoundFindings, RetrainError> {
-        if let Some(found) = read_json(self.run_folder, &self.path(FINDINGS))? {
-            return Ok(found);
-        }
-        self.run_folder.write(&self.path("before.safetensors"), self.policy.to_bytes()?)?;
-        let (plan, round) = (self.plan, self.round_number());
-        let folder = self.path(SEARCH);
-        // Relative to the folder of the counterexamples, so that their recorded verdicts can be replayed.
-        let controller = named_policy("../../before.safetensors", &self.policy);
-        let campaign = Campaign {
-            estimator: plan.estimator(),
-            method: plan.method.clone(),
-            budget: plan.settings.budget,
-            seed: plan.search_seed(round),
-            ..Campaign::new(controller, plan.space.clone())
-        };
-        let path = self.run_folder.path(&folder);
-        let searching =
-            |state: &CampaignProgress| watch.observe(&RetrainingProgress::Searching { round, progress: state.clone() });
-        let options = CampaignOptions { resume: true, ..CampaignOptions::default() };
-        let summary = campaign.run(&path, options, &searching)?;
-        self.run_folder.include(&folder)?;
-        let classed = |class| summary.counterexamples.iter().filter(move |one| one.avoidability.class() == class);
-        let [avoidable, unavoidable, undecided] =
-            [AvoidabilityClass::Avoidable, AvoidabilityClass::Unavoidable, AvoidabilityClass::Undecided]
-                .map(|class| classed(class).count());
-        let counterexamples = classed(AvoidabilityClass::Avoidable).map(|one| one.file.clone()).collect();
-        let (colliding_draws, avoidable_draws) = self.find_colliding_draws(watch)?;
-        let found = RoundFindings {
-            evaluations: summary.methods.iter().map(|method| method.evaluations).sum(),
-            failures: summary.methods.iter().map(|method| method.failures).sum(),
-            avoidable,
-            unavoidable,
-            undecided,
-            draws: plan.settings.draws,
-            colliding_draws,
-            avoidable_draws,
-            counterexamples,
-        };
-        write_json(self.run_folder, &self.path(FINDINGS), &found)?;
-        Ok(found)
-    }
-
-    /// Counts the random scenarios that end in a collision, and returns the avoidable ones.
-    fn find_colliding_draws(&self, watch: &RetrainingObserver<'_>) -> Result<(usize, CollidingDraws), RetrainError> {
-        let (plan, round) = (self.plan, self.round_number());
-        let seed = plan.search_seed(round);
-        watch.notify(&RetrainingProgress::SimulatingDraws { round, draws: plan.settings.draws })?;
-        let all = (0..plan.settings.draws).map(|index| plan.space.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
-        let indices = colliding_indices(&all, &ControllerKind::Policy(Arc::clone(&self.policy)), plan.estimator())?;
-        let collided: Vec<Scenario> = indices.iter().map(|&index| all[index].clone()).collect();
-        let classed = classify_scenarios(&collided, &witnesses(&[]), plan.estimator())?;
-        let avoidable =
-            indices.into_iter().zip(classed).filter(|(_, (class, _))| *class == AvoidabilityClass::Avoidable);
-        let indices = avoidable.map(|(index, _)| index as u64).collect();
-        Ok((collided.len(), CollidingDraws { round, seed, indices }))
-    }
-
-    pub(super) fn extended_cases(&self, found: &RoundFindings) -> Result<Cases, RetrainError> {
-        let search = self.run_folder.path(&self.path(SEARCH));
-        let read = |name: &String| file::load(&search.join(name)).map(|scenario| scenario.spec().clone());
-        let counterexamples = found.counterexamples.iter().map(read).collect::<Result<_, _>>();
-        let counterexamples = counterexamples.map_err(|error| RetrainError::Folder(error.to_string()))?;
-        self.cases.clone().with_round(&self.plan.space, found.avoidable_draws.clone(), counterexamples)
-    }
-
     /// Trains and evaluates the candidate, decides on it, and writes the record of the round.
     pub(super) fn finish(
         &self,
@@ -222,7 +125,7 @@ impl RoundContext<'_> {
         cases: &Cases,
         watch: &RetrainingObserver<'_>,
     ) -> Result<Round, RetrainError> {
-        let scenarios = cases.scenarios(&self.plan.space)?;
+        let scenarios = cases.scenarios(&self.plan.spaces)?;
         let (trained, candidate, problem) = match self.train(cases, watch) {
             Ok((trained, candidate)) => (trained, Some(Arc::new(candidate)), None),
             Err(RetrainError::Training(diverged @ TrainingError::Diverged { .. })) => {
@@ -236,9 +139,7 @@ impl RoundContext<'_> {
         };
         watch.notify(&RetrainingProgress::Evaluating { round: self.round_number() })?;
         let after = match &candidate {
-            Some(candidate) => {
-                RegressionResults::evaluate(candidate, self.plan, self.validation_set, self.regression_spaces)?
-            }
+            Some(candidate) => RegressionResults::evaluate(candidate, self.plan, self.validation_set, self.regression)?,
             None => self.results.clone(),
         };
         let is_new = candidate.as_ref().is_some_and(|candidate| candidate.network() != self.policy.network());
@@ -287,5 +188,5 @@ pub(super) fn load_corpus(
     watch: &RetrainingObserver<'_>,
 ) -> Result<Corpus, RetrainError> {
     let witnesses = witnesses(&[named_policy(&plan.initial_policy_name, &plan.initial_policy)]);
-    Corpus::load_or_build((work, name), &plan.space, (seed, wanted), &witnesses, plan.estimator(), watch)
+    Corpus::load_or_build((work, name), &plan.spaces, (seed, wanted), &witnesses, plan.estimator(), watch)
 }

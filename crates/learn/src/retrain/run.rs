@@ -10,7 +10,7 @@ use super::files::{
 };
 use super::plan::{RetrainingPlan, SELECTION_SEED, VALIDATION_SET_SEED};
 use super::progress::RetrainingProgress;
-use super::regression_spaces::RegressionSpace;
+use super::regression_spaces::RegressionSet;
 use super::report::{RetrainingEnding, RetrainingReport};
 use super::round::{Round, RoundContext, load_corpus, named_policy, round_path};
 use super::test_set::{TestSetResults, witnesses};
@@ -38,16 +38,16 @@ impl RetrainingPlan {
             return report.ok_or_else(|| RunFolderError::missing(&work.path(REPORT_JSON)).into());
         }
         work.write(PLAN, self.to_toml()?)?;
-        let wanted = self.settings.validation_draws;
+        let wanted = self.spaces.total(self.settings.validation_draws);
         let kept_aside = load_corpus(self, &work, (VALIDATION_SET, VALIDATION_SET_SEED, wanted), watch)?;
-        let wanted = self.training.evaluation.ranking_draws;
+        // An imitation alone has one checkpoint.
+        let wanted = if self.settings.episodes == 0 { 0 } else { self.training.evaluation.ranking_draws };
         let selection = load_corpus(self, &work, (SELECTION_SET, SELECTION_SEED, wanted), watch)?;
         let mut policy = Arc::clone(&self.initial_policy);
-        let spaces = self.regression_spaces.iter();
-        let regression = spaces.map(|space| RegressionSpace::new(self, space)).collect::<Result<Vec<_>, _>>()?;
+        let regression = RegressionSet::new(self)?;
         let first = RegressionResults::evaluate(&policy, self, &kept_aside, &regression)?;
         let mut standing = first.clone();
-        let mut cases = Cases::empty(&self.space)?;
+        let mut cases = Cases::empty(&self.spaces)?;
         let mut rounds: Vec<Round> = Vec::new();
         let ending = loop {
             let number = rounds.len() as u64 + 1;
@@ -59,7 +59,7 @@ impl RetrainingPlan {
                 run_folder: &work,
                 validation_set: &kept_aside,
                 selection_set: &selection,
-                regression_spaces: &regression,
+                regression: &regression,
                 policy: Arc::clone(&policy),
                 results: standing.clone(),
                 cases: cases.clone(),

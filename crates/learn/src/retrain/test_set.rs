@@ -79,7 +79,7 @@ impl TestSetResults {
         contenders: &[NamedController],
         watch: &RetrainingObserver<'_>,
     ) -> Result<Self, RetrainError> {
-        let (space, wanted) = (&plan.space, plan.settings.test_draws);
+        let (space, wanted) = (&plan.spaces, plan.spaces.total(plan.settings.test_draws));
         let mut evaluated = match read_json(work, name)? {
             Some(evaluated) => evaluated,
             None => Self {

@@ -5,11 +5,12 @@ use std::sync::Arc;
 use super::RetrainError;
 use super::cases::Cases;
 use super::files::{CHECKPOINTS, LEARNER, read_json, to_json};
+use super::plan::RetrainingPlan;
 use super::progress::{RetrainingObserver, RetrainingProgress};
 use super::round::{Checkpoint, RoundContext, RoundTraining, round_path};
 use crate::rl::{
-    CaseMixture, EvaluationSet, PaperSource, ScenarioSource, SourceMixture, Trainer, TrainingEvent, TrainingRecorder,
-    train_with_recorder,
+    CaseMixture, EvaluationSet, PaperSource, ScenarioSource, SourceMixture, Trainer, TrainingError, TrainingEvent,
+    TrainingRecorder, train_with_recorder,
 };
 use crumple_store::run_folder::RunFolderError;
 use crumple_world::policy::Policy;
@@ -24,8 +25,13 @@ impl RoundContext<'_> {
     }
 
     fn scenario_source(&self, cases: &Cases) -> Result<Arc<dyn ScenarioSource>, RetrainError> {
-        let (space, settings) = (&self.plan.space, &self.plan.settings);
-        let mixed = CaseMixture::new(cases.scenarios(space)?, settings.case_share, Arc::new(space.clone()));
+        let RetrainingPlan { spaces, settings, training, .. } = self.plan;
+        let cases = cases.scenarios(spaces)?;
+        let with_cases = |base| CaseMixture::new(cases, settings.case_share, base);
+        if !training.spaces.is_empty() {
+            return Ok(Arc::new(with_cases(training.scenario_source().map_err(TrainingError::from)?)));
+        }
+        let mixed = with_cases(Arc::new(spaces.clone()));
         Ok(Arc::new(SourceMixture::new(Arc::new(PaperSource), settings.nominal_share, Arc::new(mixed))))
     }
 
@@ -62,9 +68,8 @@ impl RoundContext<'_> {
         watch: &RetrainingObserver<'_>,
     ) -> Result<(RoundTraining, Policy), RetrainError> {
         let (mut trainer, from_episode) = self.load_learner(cases)?;
-        let environment = &self.plan.training.environment;
-        let selection = self.selection_set.scenarios(&self.plan.space)?;
-        let held_out = EvaluationSet::new(&self.plan.training.evaluation, environment).with_ranking(selection);
+        let selection = self.selection_set.scenarios(&self.plan.spaces)?;
+        let held_out = EvaluationSet::from_config(&self.plan.training)?.with_ranking(selection);
         let mut checkpoints: Vec<Checkpoint> = read_json(self.run_folder, &self.path(CHECKPOINTS))?.unwrap_or_default();
         checkpoints.retain(|checkpoint| checkpoint.episode <= trainer.episode() && trainer.episode() > from_episode);
         let mut scribe = CheckpointWriter { context: self, from_episode, checkpoints, observer: watch };
@@ -99,12 +104,19 @@ impl TrainingRecorder<RetrainError> for CheckpointWriter<'_, '_, '_> {
                 episodes: self.context.plan.settings.episodes,
                 fewest_contacts: self.checkpoints.iter().filter_map(|checkpoint| checkpoint.contacts).min(),
             })?,
-            TrainingEvent::Imitation(_) => {}
+            TrainingEvent::Imitation(imitation) => {
+                let round = self.context.round_number();
+                self.observer.notify(&RetrainingProgress::Imitating { round, imitation: *imitation })?;
+            }
         }
         Ok(())
     }
 
     fn checkpoint(&mut self, trainer: &Trainer) -> Result<(), RetrainError> {
+        // An imitation is no part of a checkpoint: resumed without episodes, the learner would imitate twice.
+        if trainer.episode() == 0 {
+            return Ok(());
+        }
         // Written together; list entries after the checkpoint are dropped on resume.
         let mut changes = self.context.run_folder.transaction();
         changes.write(&self.context.path(CHECKPOINTS), to_json(&self.checkpoints)?);

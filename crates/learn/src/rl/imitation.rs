@@ -17,7 +17,7 @@ use super::trainer::{Trainer, TrainingError};
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::EASY_BRAKE_MPS2;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::{FrameStack, Policy, Workspace};
+use crumple_world::policy::{FrameStack, Network, Policy, Workspace};
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{Run, RunOptions};
@@ -178,7 +178,9 @@ fn find_expert(field: &str, text: &str) -> Result<ControllerSpec, TrainingConfig
 }
 
 impl Trainer {
-    /// Fits the actor to the expert, if there is one and the actor is new, and calls `done` after each round.
+    /// Fits the actor to the expert, if there is one, and calls `done` after each round. An actor that started from a
+    /// policy drives in the first round, too, and ends with the mean of its weights before and after, which keeps its
+    /// other answers (Wortsman et al., 2022).
     ///
     /// # Errors
     /// [`TrainingError`] if a scenario cannot be run; the error of `done`.
@@ -186,15 +188,14 @@ impl Trainer {
         &mut self,
         mut done: impl FnMut(&ImitationRound) -> Result<(), E>,
     ) -> Result<(), E> {
-        let Some(imitation) = self.config.imitation.clone().filter(|_| !self.has_initial_policy) else {
-            return Ok(());
-        };
+        let Some(imitation) = self.config.imitation.clone() else { return Ok(()) };
+        let initial = self.has_initial_policy.then(|| self.learner.actor.network.clone());
         let mut rows = Rows::default();
         for round in 0..imitation.rounds {
             let before = (rows.contacts, rows.episodes);
             let wanted = imitation.rows.saturating_mul(u64::from(round) + 1);
-            let driver =
-                if round == 0 { None } else { Some(self.build_policy(self.learner.actor.network.clone(), 0)?) };
+            let policy_drives = round > 0 || self.has_initial_policy;
+            let driver = policy_drives.then(|| self.build_policy(self.learner.actor.network.clone(), 0)).transpose()?;
             self.collect(&imitation, driver.as_ref(), wanted, &mut rows)?;
             let loss = self.fit(&imitation, &rows, round);
             let (contacts, episodes) = (rows.contacts - before.0, rows.episodes - before.1);
@@ -207,6 +208,9 @@ impl Trainer {
             })?;
         }
         let actor = &mut self.learner.actor;
+        for (new, &old) in actor.network.parameters_mut().iter_mut().zip(initial.iter().flat_map(Network::parameters)) {
+            *new = 0.5 * *new + 0.5 * old;
+        }
         actor.target = actor.network.clone();
         Ok(())
     }

@@ -23,7 +23,7 @@ pub(crate) struct UsefulnessLimits {
 }
 
 /// Limits in the evaluation of policies during a training.
-pub(super) const TRAINING_LIMITS: UsefulnessLimits =
+pub(crate) const TRAINING_LIMITS: UsefulnessLimits =
     UsefulnessLimits { max_ratio_to_idm: 1.25, time_gap_range_s: [1.2, 2.0], excess_weight: 0.05 };
 
 /// Result of a controller in random scenarios of everyday traffic.

@@ -1,0 +1,123 @@
+//! Search of a round for avoidable failures.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use super::RetrainError;
+use super::cases::{Cases, CollidingDraws};
+use super::corpus::{classify_scenarios, colliding_indices};
+use super::files::{read_json, write_json};
+use super::progress::{RetrainingObserver, RetrainingProgress};
+use super::round::{RoundContext, named_policy};
+use super::test_set::witnesses;
+use crate::rl::ScenarioSource;
+use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
+use crumple_search::falsify::counterexample::AvoidabilityClass;
+use crumple_world::scenario::{Scenario, file};
+use crumple_world::sim::ControllerKind;
+
+const FINDINGS: &str = "found.json";
+const SEARCH: &str = "search";
+
+/// Results of a search.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct RoundFindings {
+    /// Evaluations of the campaign, by all its methods.
+    pub evaluations: u64,
+    /// Evaluations that ended in a collision.
+    pub failures: u64,
+    /// Distinct avoidable counterexamples.
+    pub avoidable: usize,
+    /// Counterexamples that are proved unavoidable.
+    pub unavoidable: usize,
+    /// Undecided counterexamples.
+    pub undecided: usize,
+    /// Random scenarios of the space that were simulated besides.
+    pub draws: u64,
+    /// Random scenarios that ended in a collision.
+    #[serde(rename = "draws_touched")]
+    pub colliding_draws: usize,
+    /// Avoidable random scenarios among them.
+    #[serde(rename = "draws_avoidable")]
+    pub avoidable_draws: CollidingDraws,
+    /// Avoidable counterexamples, by the file of the scenario.
+    pub counterexamples: Vec<String>,
+}
+
+impl RoundContext<'_> {
+    /// Searches for counterexamples, or returns the stored result.
+    pub(super) fn search(&self, watch: &RetrainingObserver<'_>) -> Result<RoundFindings, RetrainError> {
+        if let Some(found) = read_json(self.run_folder, &self.path(FINDINGS))? {
+            return Ok(found);
+        }
+        self.run_folder.write(&self.path("before.safetensors"), self.policy.to_bytes()?)?;
+        let (colliding_draws, avoidable_draws) = self.find_colliding_draws(watch)?;
+        let (plan, round) = (self.plan, self.round_number());
+        let draws = plan.spaces.total(plan.settings.draws);
+        let mut found = RoundFindings { draws, colliding_draws, avoidable_draws, ..RoundFindings::default() };
+        let spaces = plan.spaces.as_slice();
+        for (index, space) in spaces.iter().enumerate() {
+            // The search of a single space has no folder of its own. The path of the policy is relative to the
+            // counterexamples, so that their recorded verdicts can be replayed.
+            let (folder, up) = if spaces.len() == 1 { (String::new(), "") } else { (format!("{}/", index + 1), "../") };
+            let path = self.path(&format!("{SEARCH}/{folder}"));
+            let path = path.trim_end_matches('/');
+            let controller = named_policy(&format!("../../{up}before.safetensors"), &self.policy);
+            let campaign = Campaign {
+                estimator: plan.estimator(),
+                method: plan.method.clone(),
+                budget: plan.settings.budget,
+                seed: plan.search_seed(round),
+                ..Campaign::new(controller, space.clone())
+            };
+            let searching = |state: &CampaignProgress| {
+                let (space, space_index, progress) = (space.name().to_owned(), [index, spaces.len()], state.clone());
+                watch.observe(&RetrainingProgress::Searching { round, space, space_index, progress })
+            };
+            let options = CampaignOptions { resume: true, ..CampaignOptions::default() };
+            let summary = campaign.run(&self.run_folder.path(path), options, &searching)?;
+            self.run_folder.include(path)?;
+            found.evaluations += summary.methods.iter().map(|method| method.evaluations).sum::<u64>();
+            found.failures += summary.methods.iter().map(|method| method.failures).sum::<u64>();
+            for counterexample in &summary.counterexamples {
+                match counterexample.avoidability.class() {
+                    AvoidabilityClass::Avoidable => {
+                        found.avoidable += 1;
+                        found.counterexamples.push(format!("{folder}{}", counterexample.file));
+                    }
+                    AvoidabilityClass::Unavoidable => found.unavoidable += 1,
+                    AvoidabilityClass::Undecided => found.undecided += 1,
+                    AvoidabilityClass::NotAsked => {}
+                }
+            }
+        }
+        write_json(self.run_folder, &self.path(FINDINGS), &found)?;
+        Ok(found)
+    }
+
+    /// Counts the random scenarios that end in a collision, and returns the avoidable ones.
+    fn find_colliding_draws(&self, watch: &RetrainingObserver<'_>) -> Result<(usize, CollidingDraws), RetrainError> {
+        let (plan, round) = (self.plan, self.round_number());
+        let seed = plan.search_seed(round);
+        let draws = plan.spaces.total(plan.settings.draws);
+        watch.notify(&RetrainingProgress::SimulatingDraws { round, draws })?;
+        let all = (0..draws).map(|index| plan.spaces.draw(seed, index)).collect::<Result<Vec<_>, _>>()?;
+        let indices = colliding_indices(&all, &ControllerKind::Policy(Arc::clone(&self.policy)), plan.estimator())?;
+        let collided: Vec<Scenario> = indices.iter().map(|&index| all[index].clone()).collect();
+        let classed = classify_scenarios(&collided, &witnesses(&[]), plan.estimator())?;
+        let avoidable =
+            indices.into_iter().zip(classed).filter(|(_, (class, _))| *class == AvoidabilityClass::Avoidable);
+        let indices = avoidable.map(|(index, _)| index as u64).collect();
+        Ok((collided.len(), CollidingDraws { round, seed, indices }))
+    }
+
+    pub(super) fn extended_cases(&self, found: &RoundFindings) -> Result<Cases, RetrainError> {
+        let search = self.run_folder.path(&self.path(SEARCH));
+        let read = |name: &String| file::load(&search.join(name)).map(|scenario| scenario.spec().clone());
+        let counterexamples = found.counterexamples.iter().map(read).collect::<Result<_, _>>();
+        let counterexamples = counterexamples.map_err(|error| RetrainError::Folder(error.to_string()))?;
+        self.cases.clone().with_round(&self.plan.spaces, found.avoidable_draws.clone(), counterexamples)
+    }
+}
