@@ -18,6 +18,7 @@ use std::io;
 use quick_xml::Writer;
 use quick_xml::events::{BytesDecl, BytesEnd, BytesStart, Event};
 
+use crumple_world::openscenario::{ABOUT_ACTIONS, DESCRIPTION_ABOUT, DESCRIPTION_START};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::Trace;
 
@@ -118,8 +119,7 @@ pub fn export_actions(scenario: &Scenario, road: &str) -> Result<OpenScenario, O
     let vertices = check_vertex_count(moves.iter().map(|one| one.profile().len()).sum())?;
     let end_s = scenario.spec().duration_s;
     let scripts_mps = moves.iter().flat_map(|one| one.profile()).map(|(_, mps)| *mps).fold(0.0, f64::max);
-    let about = "what the scripted vehicles do; the others are left to controllers";
-    let file = storyboard::OpenScenarioFile { scenario, road, about, end_s, uses_controllers: true };
+    let file = storyboard::OpenScenarioFile { scenario, road, about: ABOUT_ACTIONS, end_s, uses_controllers: true };
     Ok(OpenScenario {
         scenario: write_document(|xml| file.write(xml, &moves))?,
         road: road::road_for_scenario(scenario, scripts_mps)?,
@@ -191,6 +191,6 @@ fn reference_point_m(front_m: f64, length_m: f64) -> f64 {
 
 fn describe_scenario(scenario: &Scenario, about: &str) -> String {
     let spec = scenario.spec();
-    let own = if spec.about.is_empty() { String::new() } else { format!(" The scenario: {}", spec.about) };
-    attribute_text(&format!("crumple scenario {}: {about}.{own}", spec.name)).trim_end().to_owned()
+    let own = if spec.about.is_empty() { String::new() } else { format!("{DESCRIPTION_ABOUT}{}", spec.about) };
+    attribute_text(&format!("{DESCRIPTION_START}{}: {about}.{own}", spec.name)).trim_end().to_owned()
 }

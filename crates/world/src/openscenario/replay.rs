@@ -1,0 +1,347 @@
+//! Replay of the storyboard: motion and lane changes of all entities up to the stop trigger.
+//!
+//! Controlled entities keep their speed. What depends on their motion is marked.
+
+use super::entities::Entity;
+use super::error::ScenarioImportError;
+use super::initial::{InitialState, RoadMap, resolve_place};
+use super::road::find_road;
+use super::speed_plan::{SpeedPlan, TransitionShape};
+use super::storyboard::{LaneChangeAction, LaneTarget, StoryAction, StoryEvent, TrajectoryAction};
+use super::trigger::{ElementTimes, ReplayState, Trigger};
+use super::xml::Node;
+
+type Result<T> = std::result::Result<T, ScenarioImportError>;
+
+/// Step of the replay, in seconds: that of a scenario by default.
+pub(super) const REPLAY_STEP_S: f64 = crate::scenario::PAPER_STEP_S;
+/// Maximum duration, in seconds.
+const MAX_DURATION_S: f64 = 3600.0;
+/// Largest distance of the first vertex of a trajectory from the entity, in metres.
+const START_TOLERANCE_M: f64 = 0.01;
+
+/// Motion of one entity.
+pub(super) struct EntityMotion<'a> {
+    pub(super) plan: SpeedPlan,
+    /// True if a speed profile or a trajectory made the plan.
+    pub(super) is_recorded: bool,
+    pub(super) lane: i32,
+    pub(super) lane_changes: Vec<LaneChangeTimes<'a>>,
+    pub(super) activated_s: Option<f64>,
+    pub(super) is_controlled: bool,
+    /// First action of a controlled entity that its controller replaces.
+    pub(super) replaced: Option<Node<'a>>,
+}
+
+/// A lane change.
+pub(super) struct LaneChangeTimes<'a> {
+    pub(super) node: Node<'a>,
+    pub(super) lanes: [i32; 2],
+    /// Time at which the body first overlaps the new lane, and at which it has left the old one.
+    pub(super) crossings_s: [f64; 2],
+    pub(super) depends_on_controller: bool,
+}
+
+#[derive(Default, Clone, Copy)]
+struct EventTimes {
+    start_s: Option<f64>,
+    end_s: Option<f64>,
+    depends: bool,
+}
+
+pub(super) struct Replay<'a, 'b> {
+    pub(super) entities: &'b [Entity],
+    pub(super) motion: Vec<EntityMotion<'a>>,
+    events: Vec<StoryEvent<'a>>,
+    times: Vec<EventTimes>,
+    /// Ends of the actions of each event, in their order.
+    action_ends_s: Vec<Vec<f64>>,
+    roads: &'b RoadMap<'b>,
+    road_id: String,
+    now_s: f64,
+}
+
+impl ReplayState for Replay<'_, '_> {
+    fn speed_mps(&self, entity: usize, time_s: f64) -> f64 {
+        self.motion.get(entity).map_or(0.0, |motion| motion.plan.at(time_s).speed_mps)
+    }
+
+    fn position_m(&self, entity: usize, time_s: f64) -> f64 {
+        self.motion.get(entity).map_or(0.0, |motion| motion.plan.at(time_s).position_m)
+    }
+
+    fn bumpers_m(&self, entity: usize) -> [f64; 2] {
+        self.entities.get(entity).map_or([0.0; 2], |one| [one.front_m, one.length_m - one.front_m])
+    }
+
+    fn element_times_s(&self, kind: &str, name: &str) -> ElementTimes {
+        if kind == "action" {
+            let place =
+                self.events.iter().zip(&self.times).zip(&self.action_ends_s).find_map(|((event, times), ends)| {
+                    let place = event.actions.iter().position(|(action, _)| action == name)?;
+                    Some(([times.start_s, ends.get(place).copied()], times.depends))
+                });
+            return place;
+        }
+        let level = ["story", "act", "maneuverGroup", "maneuver"].iter().position(|level| *level == kind);
+        let is_inside = |event: &StoryEvent<'_>| match level {
+            Some(level) => event.parents.get(level).is_some_and(|parent| parent == name),
+            None => kind == "event" && event.name == name,
+        };
+        let inside: Vec<&EventTimes> =
+            self.events.iter().zip(&self.times).filter(|(event, _)| is_inside(event)).map(|(_, times)| times).collect();
+        let start_s = inside.iter().filter_map(|times| times.start_s).reduce(f64::min);
+        let end_s = inside.iter().map(|times| times.end_s).reduce(|a, b| a.zip(b).map(|(a, b)| a.max(b))).flatten();
+        (!inside.is_empty()).then(|| ([start_s, end_s], inside.iter().any(|times| times.depends)))
+    }
+
+    fn is_controlled(&self, entity: usize) -> bool {
+        self.motion.get(entity).is_some_and(|motion| motion.is_controlled)
+    }
+}
+
+impl<'a, 'b> Replay<'a, 'b> {
+    pub(super) fn new(
+        entities: &'b [Entity],
+        initial: &InitialState<'a>,
+        is_controlled: &[bool],
+        events: Vec<StoryEvent<'a>>,
+        roads: &'b RoadMap<'b>,
+    ) -> Result<Self> {
+        let motion = initial.places.iter().zip(&initial.speeds_mps).zip(is_controlled).zip(&initial.is_active);
+        let motion = motion.map(|(((place, speed_mps), &is_controlled), &is_active)| EntityMotion {
+            plan: SpeedPlan::constant(place.along_m, speed_mps.unwrap_or(0.0)),
+            is_recorded: false,
+            lane: place.lane,
+            lane_changes: Vec::new(),
+            activated_s: is_active.then_some(0.0),
+            is_controlled,
+            replaced: None,
+        });
+        let motion = motion.collect();
+        let (times, action_ends_s) = (vec![EventTimes::default(); events.len()], vec![Vec::new(); events.len()]);
+        let road_id = initial.places.first().map_or_else(String::new, |place| place.road.clone());
+        let mut replay = Self { entities, motion, events, times, action_ends_s, roads, road_id, now_s: 0.0 };
+        for (entity, action) in &initial.transitions {
+            let to_mps =
+                action.target.speed_mps(action.target.reference().map_or(0.0, |other| replay.speed_mps(other, 0.0)));
+            if let Some(motion) = replay.motion.get_mut(*entity) {
+                if motion.is_controlled {
+                    return Err(action.node.refuse("the initial speed of a controlled entity must be a step"));
+                }
+                motion.plan.change_speed(action.node, 0.0, to_mps.max(0.0), action.dynamics)?;
+            }
+        }
+        Ok(replay)
+    }
+
+    /// Replays until the stop trigger fires, and returns this time.
+    pub(super) fn run(
+        &mut self,
+        acts: &mut [Trigger<'a>],
+        stop: Option<Node<'a>>,
+        storyboard: Node<'a>,
+    ) -> Result<(f64, bool)> {
+        let stop = stop.filter(|stop| stop.children().next().is_some());
+        let stop = stop.ok_or_else(|| storyboard.refuse("has no stop trigger, which determines the duration"))?;
+        let mut stop_trigger = Trigger::read(Some(stop), self.entities)?;
+        let mut act_starts_s = vec![None; acts.len()];
+        let mut before_s = 0.0;
+        for step in 0..=(MAX_DURATION_S / REPLAY_STEP_S) as usize {
+            self.now_s = step as f64 * REPLAY_STEP_S;
+            for (act, start_s) in acts.iter_mut().zip(&mut act_starts_s).filter(|(_, start_s)| start_s.is_none()) {
+                *start_s = act.fires(self, before_s, self.now_s)?;
+            }
+            self.start_events(&act_starts_s, before_s)?;
+            if let Some(stopped) = stop_trigger.fires(self, before_s, self.now_s)? {
+                return Ok(stopped);
+            }
+            before_s = self.now_s;
+        }
+        Err(stop.refuse(format!("does not fire within {MAX_DURATION_S} s")))
+    }
+
+    /// Starts the events whose triggers fired since `before_s`.
+    fn start_events(&mut self, act_starts_s: &[Option<(f64, bool)>], before_s: f64) -> Result<()> {
+        for index in 0..self.events.len() {
+            let Some(event) = self.events.get(index) else { return Ok(()) };
+            let act = act_starts_s.get(event.act).copied().flatten();
+            let is_waiting = self.times.get(index).is_some_and(|times| times.start_s.is_none());
+            let Some((act_s, act_depends)) = act.filter(|_| is_waiting) else { continue };
+            // The trigger changes while it reads the state, so it is taken out of the state.
+            let nothing = Trigger::read(None, self.entities)?;
+            let Some(event) = self.events.get_mut(index) else { return Ok(()) };
+            let mut trigger = std::mem::replace(&mut event.trigger, nothing);
+            let fired = trigger.fires(self, before_s, self.now_s);
+            if let Some(event) = self.events.get_mut(index) {
+                event.trigger = trigger;
+            }
+            let Some((fired_s, depends)) = fired? else { continue };
+            self.start_event(index, fired_s.max(act_s), depends || act_depends)?;
+        }
+        Ok(())
+    }
+
+    fn start_event(&mut self, index: usize, start_s: f64, depends: bool) -> Result<()> {
+        let mut ends_s = Vec::new();
+        let Some(event) = self.events.get_mut(index) else { return Ok(()) };
+        let (actors, actions, node) = (event.actors.clone(), std::mem::take(&mut event.actions), event.node);
+        for (_, action) in &actions {
+            let mut end_s = start_s;
+            for &actor in &actors {
+                end_s = self.start_action(node, actor, action, start_s, depends)?.max(end_s);
+            }
+            ends_s.push(end_s);
+        }
+        if actions.iter().any(|(_, action)| action.changes_speed()) {
+            self.stop_earlier_actions(&actors, start_s);
+        }
+        let end_s = ends_s.iter().copied().fold(start_s, f64::max);
+        if let (Some(event), Some(times)) = (self.events.get_mut(index), self.times.get_mut(index)) {
+            event.actions = actions;
+            *times = EventTimes { start_s: Some(start_s), end_s: Some(end_s), depends };
+        }
+        if let Some(known) = self.action_ends_s.get_mut(index) {
+            *known = ends_s;
+        }
+        Ok(())
+    }
+
+    /// Ends the running actions that an action on the speed of the same entities replaces.
+    fn stop_earlier_actions(&mut self, actors: &[usize], time_s: f64) {
+        for ((event, ends_s), times) in self.events.iter().zip(&mut self.action_ends_s).zip(&mut self.times) {
+            if event.actors.iter().any(|actor| actors.contains(actor)) && times.end_s.is_some() {
+                for ((_, action), end_s) in event.actions.iter().zip(ends_s.iter_mut()) {
+                    *end_s = if action.changes_speed() { end_s.min(time_s) } else { *end_s };
+                }
+                times.end_s = ends_s.iter().copied().reduce(f64::max).or(times.end_s);
+            }
+        }
+    }
+
+    /// Starts an action of an entity, and returns its end.
+    fn start_action(
+        &mut self,
+        event: Node<'a>,
+        actor: usize,
+        action: &StoryAction<'a>,
+        start_s: f64,
+        depends: bool,
+    ) -> Result<f64> {
+        let reference_mps = match action {
+            StoryAction::Speed(speed) => speed.target.reference().map(|other| (other, self.speed_mps(other, start_s))),
+            _ => None,
+        };
+        let depends_on_reference = reference_mps.is_some_and(|(other, _)| self.is_controlled(other));
+        let vertices = match action {
+            StoryAction::Trajectory(trajectory) if !self.is_controlled(actor) => {
+                self.trajectory_vertices(trajectory, actor, start_s)?
+            }
+            _ => Vec::new(),
+        };
+        if let StoryAction::LaneChange(change) = action {
+            return self.change_lane(change, actor, start_s, depends);
+        }
+        let Some(motion) = self.motion.get_mut(actor) else { return Ok(start_s) };
+        if let StoryAction::Activate = action {
+            motion.activated_s = Some(motion.activated_s.map_or(start_s, |before_s| before_s.min(start_s)));
+            return Ok(start_s);
+        }
+        if motion.is_controlled {
+            motion.replaced = motion.replaced.or(Some(event));
+            return Ok(start_s);
+        }
+        let before = motion.plan.clone();
+        let (node, end_s) = match action {
+            StoryAction::Speed(speed) => {
+                let to_mps = speed.target.speed_mps(reference_mps.map_or(0.0, |(_, mps)| mps));
+                if to_mps < 0.0 {
+                    return Err(speed.node.refuse(format!("the speed would be {to_mps} m/s")));
+                }
+                (speed.node, motion.plan.change_speed(speed.node, start_s, to_mps, speed.dynamics)?)
+            }
+            StoryAction::SpeedProfile(entries) => {
+                motion.is_recorded = true;
+                motion.plan.cut(start_s);
+                let mut time_s = start_s;
+                for &(after_s, mps) in entries {
+                    time_s += after_s;
+                    motion.plan.push(time_s, mps);
+                }
+                (event, time_s)
+            }
+            StoryAction::Trajectory(trajectory) => {
+                motion.is_recorded = true;
+                motion.plan.follow(&vertices, REPLAY_STEP_S);
+                (trajectory.node, vertices.last().map_or(start_s, |(time_s, _)| *time_s))
+            }
+            StoryAction::LaneChange(_) | StoryAction::Activate => (event, start_s),
+        };
+        let changes_speed = motion.plan.knots().iter().any(|knot| before.at(knot.time_s).speed_mps != knot.speed_mps);
+        if changes_speed && (depends || depends_on_reference) {
+            return Err(node.refuse("depends on an entity with a controller: scripts depend only on the time"));
+        }
+        Ok(end_s)
+    }
+
+    /// Returns times and positions of the vertices until the entity would leave its lane, which is an error.
+    fn trajectory_vertices(
+        &self,
+        action: &TrajectoryAction<'a>,
+        actor: usize,
+        start_s: f64,
+    ) -> Result<Vec<(f64, f64)>> {
+        let Some(motion) = self.motion.get(actor) else { return Ok(Vec::new()) };
+        let shift_s = if action.is_relative { start_s } else { 0.0 };
+        let mut vertices = Vec::new();
+        for (time_s, node) in &action.vertices {
+            let place = resolve_place(*node, &[], self.entities, self.roads)?;
+            let place = place.ok_or_else(|| node.refuse("is not supported in a trajectory"))?;
+            if place.road != self.road_id || place.lane != motion.lane {
+                return Err(node.refuse("the trajectory leaves the lane"));
+            }
+            vertices.push((shift_s + time_s, place.along_m));
+        }
+        let Some(&(first_s, first_m)) = vertices.first() else { return Err(action.node.refuse("has no vertices")) };
+        let from_m = motion.plan.at(first_s).position_m;
+        if first_s < start_s - 1e-9 || (first_m - from_m).abs() > START_TOLERANCE_M {
+            return Err(action.node.refuse(format!(
+                "starts at {first_s} s and {first_m} m, but the entity is at {from_m} m, and the action starts at \
+                 {start_s} s"
+            )));
+        }
+        Ok(vertices)
+    }
+
+    fn change_lane(&mut self, change: &LaneChangeAction<'a>, actor: usize, start_s: f64, depends: bool) -> Result<f64> {
+        let file = Node { element: self.roads.file, ..change.node };
+        let road = find_road(file, Some(&self.road_id), [0.0; 2])?;
+        let lane_of = |entity: usize| self.motion.get(entity).map_or(0, |motion| motion.lane);
+        let (from, to) = match change.target {
+            LaneTarget::Absolute(lane) => (lane_of(actor), lane),
+            LaneTarget::Relative(entity, by) => (lane_of(actor), road.shifted_lane(lane_of(entity), by)),
+        };
+        let [distance_m, to_width_m] = road.lane_distance_m(change.node, from, to)?;
+        let [_, from_width_m] = road.lane_distance_m(change.node, to, from)?;
+        let half_width_m = self.entities.get(actor).map_or(0.0, |entity| entity.width_m / 2.0);
+        let Some(motion) = self.motion.get_mut(actor) else { return Ok(start_s) };
+        if motion.is_controlled {
+            return Err(change.node.refuse("an entity with a controller must keep its lane"));
+        }
+        let duration_s = change.dynamics.duration_s(distance_m, |m| motion.plan.travel_time_s(start_s, m));
+        if !duration_s.is_finite() || duration_s > MAX_DURATION_S {
+            return Err(change.node.refuse(format!("the lane change takes longer than {MAX_DURATION_S} s")));
+        }
+        let at_s = |moved_m: f64| match distance_m {
+            _ if change.dynamics.shape == TransitionShape::Step || distance_m == 0.0 => start_s,
+            _ => start_s + duration_s * change.dynamics.share_until((moved_m / distance_m).clamp(0.0, 1.0)),
+        };
+        let crossings_s = [at_s(distance_m - to_width_m / 2.0 - half_width_m), at_s(from_width_m / 2.0 + half_width_m)];
+        let (node, lanes) = (change.node, [from, to]);
+        if from != to {
+            motion.lane_changes.push(LaneChangeTimes { node, lanes, crossings_s, depends_on_controller: depends });
+        }
+        motion.lane = to;
+        Ok(start_s + duration_s)
+    }
+}
