@@ -70,7 +70,10 @@ pub(super) fn read_initial<'a>(
                                 state.is_active.get_mut(entity).map(|active| std::mem::replace(active, true));
                             }
                         }
-                        _ => return Err(inner.children().next().unwrap_or(inner).refuse("is not supported in `Init`")),
+                        ("LongitudinalAction", Some(_)) => {
+                            return Err(inner.single()?.refuse("is not supported in `Init`"));
+                        }
+                        _ => return Err(inner.refuse("is not supported in `Init`")),
                     }
                 }
             }

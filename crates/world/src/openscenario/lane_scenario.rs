@@ -183,7 +183,6 @@ impl LaneScenarioBuilder<'_, '_> {
 
     /// Refuses a script that the vehicle cannot follow.
     fn check_limits(&self, spec: &VehicleSpec, plan: &SpeedPlan, start_s: f64, name: &str) -> Result<()> {
-        let Driver::Profile(LeadProfile::Recorded(_)) = &spec.driver else { return Ok(()) };
         let [brake, accel] = [spec.max_brake_mps2() * self.friction, spec.max_accel_mps2()];
         let (mut speed_mps, mut position_m) = (spec.speed_mps, plan.at(start_s).position_m);
         let steps = ((self.stop_s - start_s) / REPLAY_STEP_S).floor() as usize;

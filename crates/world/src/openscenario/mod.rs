@@ -19,6 +19,8 @@ mod source;
 mod space;
 mod speed_plan;
 mod storyboard;
+#[cfg(test)]
+mod tests;
 mod trigger;
 mod xml;
 
@@ -132,7 +134,7 @@ impl OpenScenarioSource {
     /// Returns the name and the purpose of the scenario: those of crumple's export, or the file's name and description.
     fn name_and_about(&self, header: Node<'_>) -> Result<(String, String)> {
         let description = header.raw("description").unwrap_or_default();
-        let exported = description.strip_prefix(DESCRIPTION_START).and_then(|rest| rest.split_once(": "));
+        let exported = description.strip_prefix(DESCRIPTION_START).and_then(|rest| rest.split_once(": what "));
         let (name, about) = match exported {
             Some((name, rest)) => (name.to_owned(), rest.split_once(DESCRIPTION_ABOUT).map_or("", |(_, about)| about)),
             None => {
