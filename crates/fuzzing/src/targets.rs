@@ -268,8 +268,8 @@ pub fn recording(bytes: &[u8]) -> Result<(), Violation> {
 /// Road of the scenarios of [`openscenario`]: two lanes, of which one has its middle at y = 0.
 const ROAD: &[u8] = br#"<OpenDRIVE><road id="1" length="4000" junction="-1"><planView>
 <geometry s="0" x="-1000" y="1.875" hdg="0" length="4000"><line/></geometry></planView><lanes><laneSection s="0"><right>
-<lane id="-1"><width sOffset="0" a="3.75"/></lane><lane id="-2"><width sOffset="0" a="3.75"/></lane></right></laneSection>
-</lanes></road></OpenDRIVE>"#;
+<lane id="-1"><width sOffset="0" a="3.75"/></lane><lane id="-2"><width sOffset="0" a="3.75"/></lane></right>
+</laneSection></lanes></road></OpenDRIVE>"#;
 
 /// Checks that bytes are an OpenSCENARIO file on a straight road, or a file with distributions, or are refused with an
 /// existing line. An imported scenario must survive a round trip as a file.

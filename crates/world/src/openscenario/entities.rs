@@ -4,7 +4,8 @@ use super::error::ScenarioImportError;
 use super::parameters::Parameters;
 use super::source::SourceFiles;
 use super::xml::Node;
-use crate::scenario::VehicleClass;
+use crate::control::ControllerSpec;
+use crate::scenario::{Driver, VehicleClass};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
@@ -155,4 +156,50 @@ pub(super) fn entry_parameters(reference: Node<'_>, entry: Node<'_>) -> Result<P
     };
     let assigned = assignments.map(read).collect::<Result<Vec<_>>>()?;
     Parameters::declare(entry.optional("ParameterDeclarations"), &assigned)
+}
+
+/// Name of the controller of vehicles under test in crumple's export.
+pub const UNDER_TEST_CONTROLLER: &str = "under-test";
+
+/// Drivers of the entities with a controller; `None` for scripted ones.
+pub(super) fn assign_drivers(node: Node<'_>, entities: &[Entity], ego: Option<&str>) -> Result<Vec<Option<Driver>>> {
+    if let Some(name) = ego.filter(|name| entities.iter().all(|entity| entity.name != **name)) {
+        let names: Vec<_> = entities.iter().map(|entity| entity.name.as_str()).collect();
+        return Err(node.refuse(format!("there is no entity `{name}`, only {}", names.join(", "))));
+    }
+    let controlled = entities.iter().filter(|entity| entity.controller.is_some()).count();
+    let driver = |entity: &Entity| {
+        if ego == Some(&entity.name) {
+            return Ok(Some(Driver::UnderTest));
+        }
+        let Some(controller) = &entity.controller else { return Ok(None) };
+        if controller.name == UNDER_TEST_CONTROLLER {
+            return Ok(Some(Driver::UnderTest));
+        }
+        match built_in_driver(node, controller)? {
+            Some(driver) => Ok(Some(driver)),
+            None if ego.is_none() && controlled == 1 => Ok(Some(Driver::UnderTest)),
+            None if ego.is_none() => {
+                Err(node
+                    .refuse(format!("{controlled} entities have a controller: name the vehicle under test with --ego")))
+            }
+            None => Err(node.refuse(format!(
+                "the entity `{}` has the controller `{}`, which is none of crumple's",
+                entity.name, controller.name
+            ))),
+        }
+    };
+    entities.iter().map(driver).collect()
+}
+
+/// Returns the built-in controller of this name, with the settings of the properties.
+fn built_in_driver(node: Node<'_>, controller: &AssignedController) -> Result<Option<Driver>> {
+    let Some(mut spec) = ControllerSpec::from_name(&controller.name) else { return Ok(None) };
+    let fields: Vec<&str> = spec.values().map(|(field, _)| field.name).collect();
+    for (place, field) in fields.into_iter().enumerate() {
+        let Some((_, value)) = controller.properties.iter().find(|(name, _)| name == field) else { continue };
+        let number = value.parse::<f64>().map_err(|_| node.refuse(format!("`{field}` = `{value}` is not a number")))?;
+        spec.get_mut(place).map(|setting| std::mem::replace(setting, number));
+    }
+    Ok(Some(Driver::Controller(spec)))
 }

@@ -59,14 +59,6 @@ pub enum ScenarioImportError {
         /// Field and problem.
         invalid: InvalidField,
     },
-    /// A distribution of which no space can be made.
-    #[error("{}: {problem}", path.display())]
-    Space {
-        /// Path of the file.
-        path: PathBuf,
-        /// Problem in words.
-        problem: String,
-    },
 }
 
 impl ScenarioImportError {

@@ -2,11 +2,11 @@
 
 use super::entities::Entity;
 use super::error::ScenarioImportError;
-use super::road::{LanePlace, StraightRoad, find_road};
+use super::road::{LanePlace, RoadMap};
 use super::source::SourceFiles;
 use super::speed_plan::TransitionShape;
 use super::storyboard::{SpeedAction, StoryAction, entity_index, lane_number, read_action, read_speed};
-use super::xml::{Node, SourceElement};
+use super::xml::Node;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
@@ -20,11 +20,6 @@ pub(super) struct InitialState<'a> {
     pub(super) is_active: Vec<bool>,
     pub(super) friction: f64,
     pub(super) notes: Vec<String>,
-}
-
-/// Roads of the file, of which entities use one.
-pub(super) struct RoadMap<'a> {
-    pub(super) file: &'a SourceElement,
 }
 
 pub(super) fn read_initial<'a>(
@@ -149,7 +144,6 @@ pub(super) fn resolve_place(
     entities: &[Entity],
     roads: &RoadMap<'_>,
 ) -> Result<Option<LanePlace>> {
-    let file = Node { element: roads.file, ..node };
     if let Some(orientation) = node.optional("Orientation") {
         orientation.only(&[], &["type", "h", "p", "r"])?;
         for angle in ["h", "p", "r"] {
@@ -169,13 +163,13 @@ pub(super) fn resolve_place(
         "WorldPosition" => {
             node.only(&[], &["x", "y", "z", "h", "p", "r"])?;
             let point_m = [node.number("x")?, node.number("y")?];
-            let road = find_road(file, None, point_m).map_err(|error| located(node, error))?;
+            let road = roads.find(node, None, point_m)?;
             road.place_of_point(node, point_m, node.optional_number("h")?).map(Some)
         }
         "LanePosition" => {
             node.only(&["Orientation"], &["roadId", "laneId", "offset", "s"])?;
             in_middle(node)?;
-            let road = find_road(file, Some(&node.text("roadId")?), [0.0; 2])?;
+            let road = roads.find(node, Some(&node.text("roadId")?), [0.0; 2])?;
             road.place(node, lane_number(node, "laneId")?, node.number("s")?).map(Some)
         }
         "RelativeLanePosition" => {
@@ -183,30 +177,17 @@ pub(super) fn resolve_place(
             in_middle(node)?;
             let reference = known.get(entity_index(node, "entityRef", entities)?);
             let Some(reference) = reference.and_then(Option::as_ref) else { return Ok(None) };
-            let road = find_road(file, Some(&reference.road), [0.0; 2])?;
+            let road = roads.find(node, Some(&reference.road), [0.0; 2])?;
             let lane = road.shifted_lane(reference.lane, lane_number(node, "dLane")?);
             let ahead_m = match node.optional_number("dsLane")? {
                 Some(ahead_m) => ahead_m,
                 None => node.number("ds")?,
             };
-            let along_m = reference.along_m + ahead_m;
-            place_along(&road, node, lane, along_m).map(Some)
+            // Positions along lanes against the direction of the road are negative.
+            road.place(node, lane, (reference.along_m + ahead_m).abs()).map(Some)
         }
         _ => Err(node.refuse("is not supported as a position")),
     }
-}
-
-/// Names the position in an error about the road file, which has no other hint at it.
-fn located(node: Node<'_>, error: ScenarioImportError) -> ScenarioImportError {
-    match error {
-        ScenarioImportError::Refused { element, reason, .. } if element == "OpenDRIVE" => node.refuse(reason),
-        other => other,
-    }
-}
-
-fn place_along(road: &StraightRoad, node: Node<'_>, lane: i32, along_m: f64) -> Result<LanePlace> {
-    // Positions along lanes against the direction of the road are negative.
-    road.place(node, lane, along_m.abs())
 }
 
 /// Sets the initial speeds, of which some are relative to others.

@@ -1,13 +1,10 @@
 //! The scenario on one lane that a replay gives.
 
 use super::ImportedLaneScenario;
-use super::entities::{AssignedController, Entity};
 use super::error::ScenarioImportError;
 use super::replay::{EntityMotion, REPLAY_STEP_S, Replay};
 use super::speed_plan::SpeedPlan;
-use super::trigger::ReplayState;
 use super::xml::Node;
-use crate::control::ControllerSpec;
 use crate::scenario::{
     Brake, BrakeToSpeed, Driver, LaneChange, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleSpec,
 };
@@ -16,52 +13,6 @@ type Result<T> = std::result::Result<T, ScenarioImportError>;
 
 /// Largest distance between a script and its motion within the limits of the vehicle, in metres.
 const FOLLOW_TOLERANCE_M: f64 = 0.01;
-/// Name of the controller of vehicles under test in crumple's export.
-pub const UNDER_TEST_CONTROLLER: &str = "under-test";
-
-/// Drivers of the entities with a controller; `None` for scripted ones.
-pub(super) fn assign_drivers(node: Node<'_>, entities: &[Entity], ego: Option<&str>) -> Result<Vec<Option<Driver>>> {
-    if let Some(name) = ego.filter(|name| entities.iter().all(|entity| entity.name != **name)) {
-        let names: Vec<_> = entities.iter().map(|entity| entity.name.as_str()).collect();
-        return Err(node.refuse(format!("there is no entity `{name}`, only {}", names.join(", "))));
-    }
-    let controlled = entities.iter().filter(|entity| entity.controller.is_some()).count();
-    let driver = |entity: &Entity| {
-        if ego == Some(&entity.name) {
-            return Ok(Some(Driver::UnderTest));
-        }
-        let Some(controller) = &entity.controller else { return Ok(None) };
-        if controller.name == UNDER_TEST_CONTROLLER {
-            return Ok(Some(Driver::UnderTest));
-        }
-        match built_in_driver(node, controller)? {
-            Some(driver) => Ok(Some(driver)),
-            None if ego.is_none() && controlled == 1 => Ok(Some(Driver::UnderTest)),
-            None if ego.is_none() => {
-                Err(node
-                    .refuse(format!("{controlled} entities have a controller: name the vehicle under test with --ego")))
-            }
-            None => Err(node.refuse(format!(
-                "the entity `{}` has the controller `{}`, which is none of crumple's",
-                entity.name, controller.name
-            ))),
-        }
-    };
-    entities.iter().map(driver).collect()
-}
-
-/// Returns the built-in controller of this name, with the settings of the properties.
-fn built_in_driver(node: Node<'_>, controller: &AssignedController) -> Result<Option<Driver>> {
-    let Some(mut spec) = ControllerSpec::from_name(&controller.name) else { return Ok(None) };
-    let fields: Vec<&str> = spec.values().map(|(field, _)| field.name).collect();
-    for (place, field) in fields.into_iter().enumerate() {
-        let Some((_, value)) = controller.properties.iter().find(|(name, _)| name == field) else { continue };
-        let number = value.parse::<f64>().map_err(|_| node.refuse(format!("`{field}` = `{value}` is not a number")))?;
-        spec.get_mut(place).map(|setting| std::mem::replace(setting, number));
-    }
-    Ok(Some(Driver::Controller(spec)))
-}
-
 /// The replay, and what the scenario takes from the rest of the file.
 pub(super) struct LaneScenarioBuilder<'a, 'b> {
     pub(super) node: Node<'a>,
@@ -90,7 +41,7 @@ impl LaneScenarioBuilder<'_, '_> {
         let lane = self.replay.motion.get(reference).map_or(0, |motion| motion.lane);
         if start_s > 0.0 {
             self.notes.push(format!(
-                "the scenario starts at {start_s} s, when the controller is activated; before, its vehicle keeps its speed"
+                "starts when the controller is activated, at {start_s} s; until then its vehicle keeps its speed"
             ));
         }
         if self.stop_depends {
@@ -247,8 +198,7 @@ impl LaneScenarioBuilder<'_, '_> {
             one.spec.enters = Some(LaneChange::Gap(gap_m));
         }
         self.notes.push(format!(
-            "LaneChangeAction (line {}): the vehicle enters at the gap of {gap_m:.2} m that it has if the vehicle under \
-             test keeps its speed",
+            "LaneChangeAction (line {}): enters at a gap of {gap_m:.2} m, as if the vehicle under test kept its speed",
             node.element.line
         ));
         Ok(())

@@ -4,11 +4,11 @@
 
 use super::entities::Entity;
 use super::error::ScenarioImportError;
-use super::initial::{InitialState, RoadMap, resolve_place};
-use super::road::find_road;
-use super::speed_plan::{SpeedPlan, TransitionShape};
-use super::storyboard::{LaneChangeAction, LaneTarget, StoryAction, StoryEvent, TrajectoryAction};
-use super::trigger::{ElementTimes, ReplayState, Trigger};
+use super::initial::InitialState;
+use super::road::RoadMap;
+use super::speed_plan::SpeedPlan;
+use super::storyboard::{StoryAction, StoryEvent};
+use super::trigger::Trigger;
 use super::xml::Node;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
@@ -16,9 +16,10 @@ type Result<T> = std::result::Result<T, ScenarioImportError>;
 /// Step of the replay, in seconds: that of a scenario by default.
 pub(super) const REPLAY_STEP_S: f64 = crate::scenario::PAPER_STEP_S;
 /// Maximum duration, in seconds.
-const MAX_DURATION_S: f64 = 3600.0;
-/// Largest distance of the first vertex of a trajectory from the entity, in metres.
-const START_TOLERANCE_M: f64 = 0.01;
+pub(super) const MAX_DURATION_S: f64 = 3600.0;
+
+/// Maximum number of steps times conditions times events.
+const MAX_REPLAY_WORK: usize = 200_000_000;
 
 /// Motion of one entity.
 pub(super) struct EntityMotion<'a> {
@@ -56,25 +57,31 @@ pub(super) struct Replay<'a, 'b> {
     times: Vec<EventTimes>,
     /// Ends of the actions of each event, in their order.
     action_ends_s: Vec<Vec<f64>>,
-    roads: &'b RoadMap<'b>,
-    road_id: String,
+    pub(super) roads: &'b RoadMap<'b>,
+    pub(super) road_id: String,
     now_s: f64,
 }
 
-impl ReplayState for Replay<'_, '_> {
-    fn speed_mps(&self, entity: usize, time_s: f64) -> f64 {
+/// Start and end of an element, if they were reached, and whether they depend on a controller.
+type ElementTimes = ([Option<f64>; 2], bool);
+
+impl Replay<'_, '_> {
+    pub(super) fn speed_mps(&self, entity: usize, time_s: f64) -> f64 {
         self.motion.get(entity).map_or(0.0, |motion| motion.plan.at(time_s).speed_mps)
     }
 
-    fn position_m(&self, entity: usize, time_s: f64) -> f64 {
+    /// Returns the position of the reference point along the road, in metres.
+    pub(super) fn position_m(&self, entity: usize, time_s: f64) -> f64 {
         self.motion.get(entity).map_or(0.0, |motion| motion.plan.at(time_s).position_m)
     }
 
-    fn bumpers_m(&self, entity: usize) -> [f64; 2] {
+    /// Returns the distance of the front and of the rear bumper from the reference point, in metres.
+    pub(super) fn bumpers_m(&self, entity: usize) -> [f64; 2] {
         self.entities.get(entity).map_or([0.0; 2], |one| [one.front_m, one.length_m - one.front_m])
     }
 
-    fn element_times_s(&self, kind: &str, name: &str) -> ElementTimes {
+    /// Returns the times of an element of the storyboard; `None` if there is no such element.
+    pub(super) fn element_times_s(&self, kind: &str, name: &str) -> Option<ElementTimes> {
         if kind == "action" {
             let place =
                 self.events.iter().zip(&self.times).zip(&self.action_ends_s).find_map(|((event, times), ends)| {
@@ -95,7 +102,8 @@ impl ReplayState for Replay<'_, '_> {
         (!inside.is_empty()).then(|| ([start_s, end_s], inside.iter().any(|times| times.depends)))
     }
 
-    fn is_controlled(&self, entity: usize) -> bool {
+    /// Returns true if the motion of an entity depends on a controller.
+    pub(super) fn is_controlled(&self, entity: usize) -> bool {
         self.motion.get(entity).is_some_and(|motion| motion.is_controlled)
     }
 }
@@ -145,9 +153,16 @@ impl<'a, 'b> Replay<'a, 'b> {
         let stop = stop.filter(|stop| stop.children().next().is_some());
         let stop = stop.ok_or_else(|| storyboard.refuse("has no stop trigger, which determines the duration"))?;
         let mut stop_trigger = Trigger::read(Some(stop), self.entities)?;
+        let conditions =
+            |events: &[StoryEvent<'_>]| events.iter().map(|event| event.trigger.conditions()).sum::<usize>();
+        let work = (conditions(&self.events) + acts.iter().map(Trigger::conditions).sum::<usize>() + 1)
+            * (self.events.len() + 1);
         let mut act_starts_s = vec![None; acts.len()];
         let mut before_s = 0.0;
         for step in 0..=(MAX_DURATION_S / REPLAY_STEP_S) as usize {
+            if step.saturating_mul(work) > MAX_REPLAY_WORK {
+                return Err(storyboard.refuse("has too many events and conditions for its duration"));
+            }
             self.now_s = step as f64 * REPLAY_STEP_S;
             for (act, start_s) in acts.iter_mut().zip(&mut act_starts_s).filter(|(_, start_s)| start_s.is_none()) {
                 *start_s = act.fires(self, before_s, self.now_s)?;
@@ -282,66 +297,5 @@ impl<'a, 'b> Replay<'a, 'b> {
             return Err(node.refuse("depends on an entity with a controller: scripts depend only on the time"));
         }
         Ok(end_s)
-    }
-
-    /// Returns times and positions of the vertices until the entity would leave its lane, which is an error.
-    fn trajectory_vertices(
-        &self,
-        action: &TrajectoryAction<'a>,
-        actor: usize,
-        start_s: f64,
-    ) -> Result<Vec<(f64, f64)>> {
-        let Some(motion) = self.motion.get(actor) else { return Ok(Vec::new()) };
-        let shift_s = if action.is_relative { start_s } else { 0.0 };
-        let mut vertices = Vec::new();
-        for (time_s, node) in &action.vertices {
-            let place = resolve_place(*node, &[], self.entities, self.roads)?;
-            let place = place.ok_or_else(|| node.refuse("is not supported in a trajectory"))?;
-            if place.road != self.road_id || place.lane != motion.lane {
-                return Err(node.refuse("the trajectory leaves the lane"));
-            }
-            vertices.push((shift_s + time_s, place.along_m));
-        }
-        let Some(&(first_s, first_m)) = vertices.first() else { return Err(action.node.refuse("has no vertices")) };
-        let from_m = motion.plan.at(first_s).position_m;
-        if first_s < start_s - 1e-9 || (first_m - from_m).abs() > START_TOLERANCE_M {
-            return Err(action.node.refuse(format!(
-                "starts at {first_s} s and {first_m} m, but the entity is at {from_m} m, and the action starts at \
-                 {start_s} s"
-            )));
-        }
-        Ok(vertices)
-    }
-
-    fn change_lane(&mut self, change: &LaneChangeAction<'a>, actor: usize, start_s: f64, depends: bool) -> Result<f64> {
-        let file = Node { element: self.roads.file, ..change.node };
-        let road = find_road(file, Some(&self.road_id), [0.0; 2])?;
-        let lane_of = |entity: usize| self.motion.get(entity).map_or(0, |motion| motion.lane);
-        let (from, to) = match change.target {
-            LaneTarget::Absolute(lane) => (lane_of(actor), lane),
-            LaneTarget::Relative(entity, by) => (lane_of(actor), road.shifted_lane(lane_of(entity), by)),
-        };
-        let [distance_m, to_width_m] = road.lane_distance_m(change.node, from, to)?;
-        let [_, from_width_m] = road.lane_distance_m(change.node, to, from)?;
-        let half_width_m = self.entities.get(actor).map_or(0.0, |entity| entity.width_m / 2.0);
-        let Some(motion) = self.motion.get_mut(actor) else { return Ok(start_s) };
-        if motion.is_controlled {
-            return Err(change.node.refuse("an entity with a controller must keep its lane"));
-        }
-        let duration_s = change.dynamics.duration_s(distance_m, |m| motion.plan.travel_time_s(start_s, m));
-        if !duration_s.is_finite() || duration_s > MAX_DURATION_S {
-            return Err(change.node.refuse(format!("the lane change takes longer than {MAX_DURATION_S} s")));
-        }
-        let at_s = |moved_m: f64| match distance_m {
-            _ if change.dynamics.shape == TransitionShape::Step || distance_m == 0.0 => start_s,
-            _ => start_s + duration_s * change.dynamics.share_until((moved_m / distance_m).clamp(0.0, 1.0)),
-        };
-        let crossings_s = [at_s(distance_m - to_width_m / 2.0 - half_width_m), at_s(from_width_m / 2.0 + half_width_m)];
-        let (node, lanes) = (change.node, [from, to]);
-        if from != to {
-            motion.lane_changes.push(LaneChangeTimes { node, lanes, crossings_s, depends_on_controller: depends });
-        }
-        motion.lane = to;
-        Ok(start_s + duration_s)
     }
 }

@@ -1,7 +1,10 @@
 //! Straight roads of an OpenDRIVE file, and places on their lanes.
 
+use std::cell::RefCell;
+use std::rc::Rc;
+
 use super::error::ScenarioImportError;
-use super::xml::Node;
+use super::xml::{Node, SourceElement};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
@@ -39,21 +42,41 @@ pub(super) struct LanePlace {
     pub(super) along_m: f64,
 }
 
-/// Reads the road with an identifier, or, without one, the road that contains a point of the world.
-pub(super) fn find_road(file: Node<'_>, id: Option<&str>, point_m: [f64; 2]) -> Result<StraightRoad> {
-    let mut refused = None;
-    for road in file.named("road") {
-        let is_wanted = id.is_none_or(|id| road.raw("id") == Some(id));
-        match is_wanted.then(|| StraightRoad::read(road)) {
-            Some(Ok(found)) if id.is_some() || found.project(point_m).is_some() => return Ok(found),
-            Some(Err(error)) => refused = refused.or(Some(error)),
-            _ => {}
-        }
+/// Roads of a file. Each is read at its first use.
+pub(super) struct RoadMap<'a> {
+    file: &'a SourceElement,
+    known: RefCell<Vec<Rc<StraightRoad>>>,
+}
+
+impl<'a> RoadMap<'a> {
+    pub(super) fn new(file: &'a SourceElement) -> Self {
+        Self { file, known: RefCell::default() }
     }
-    Err(refused.unwrap_or_else(|| match id {
-        Some(id) => file.refuse(format!("there is no road `{id}`")),
-        None => file.refuse(format!("no road contains the point x = {}, y = {}", point_m[0], point_m[1])),
-    }))
+
+    /// Returns the road with an identifier, or, without one, the road that contains a point of the world.
+    pub(super) fn find(&self, node: Node<'_>, id: Option<&str>, point_m: [f64; 2]) -> Result<Rc<StraightRoad>> {
+        let is_wanted = |road: &StraightRoad| id.map_or_else(|| road.project(point_m).is_some(), |id| road.id == id);
+        if let Some(found) = self.known.borrow().iter().find(|road| is_wanted(road)) {
+            return Ok(found.clone());
+        }
+        let mut refused = None;
+        for road in (Node { element: self.file, ..node }).named("road") {
+            let may_be = id.is_none_or(|id| road.raw("id") == Some(id));
+            match may_be.then(|| StraightRoad::read(road)) {
+                Some(Ok(found)) if is_wanted(&found) => {
+                    let found = Rc::new(found);
+                    self.known.borrow_mut().push(found.clone());
+                    return Ok(found);
+                }
+                Some(Err(error)) => refused = refused.or(Some(error)),
+                _ => {}
+            }
+        }
+        Err(refused.unwrap_or_else(|| match id {
+            Some(id) => node.refuse(format!("there is no road `{id}`")),
+            None => node.refuse(format!("no road contains the point x = {}, y = {}", point_m[0], point_m[1])),
+        }))
+    }
 }
 
 impl StraightRoad {

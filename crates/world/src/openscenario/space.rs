@@ -29,8 +29,7 @@ impl OpenScenarioSource {
         ego: Option<&str>,
         distributions: &ParameterDistributionFile,
     ) -> Result<(ScenarioSpace, Vec<String>)> {
-        let path = distributions.root.path.to_path_buf();
-        let refuse = |problem: String| ScenarioImportError::Space { path: path.clone(), problem };
+        let refuse = |problem: String| distributions.root.refuse(problem);
         let means: Vec<(String, String)> =
             distributions.random.iter().map(|(name, of)| (name.clone(), middle(of).to_string())).collect();
         let ImportedLaneScenario { scenario, notes } = self.scenario(ego, &means)?;

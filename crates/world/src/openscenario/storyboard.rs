@@ -8,9 +8,6 @@ use super::xml::Node;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
-/// Maximum number of events of a file.
-const MAX_EVENTS: usize = 10_000;
-
 /// An event, with the triggers that it waits for.
 pub(super) struct StoryEvent<'a> {
     pub(super) node: Node<'a>,
@@ -157,9 +154,6 @@ fn read_group<'a>(
             let trigger = Trigger::read(node.optional("StartTrigger"), entities)?;
             let (name, actors) = (node.text("name")?, actors.clone());
             events.push(StoryEvent { node, name, parents, act: act_index, actors, actions, trigger });
-            if events.len() > MAX_EVENTS {
-                return Err(node.refuse(format!("there are more than {MAX_EVENTS} events")));
-            }
         }
     }
     Ok(())

@@ -2,26 +2,11 @@
 
 use super::entities::Entity;
 use super::error::ScenarioImportError;
+use super::replay::Replay;
 use super::storyboard::entity_index;
 use super::xml::Node;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
-
-/// State of the replay that conditions read.
-pub(super) trait ReplayState {
-    fn speed_mps(&self, entity: usize, time_s: f64) -> f64;
-    /// Returns the position of the reference point along the road, in metres.
-    fn position_m(&self, entity: usize, time_s: f64) -> f64;
-    /// Returns the distance of the front and of the rear bumper from the reference point, in metres.
-    fn bumpers_m(&self, entity: usize) -> [f64; 2];
-    /// Returns the start and the end of an element of the storyboard, if they were reached.
-    fn element_times_s(&self, kind: &str, name: &str) -> ElementTimes;
-    /// Returns true if the motion of an entity depends on a controller.
-    fn is_controlled(&self, entity: usize) -> bool;
-}
-
-/// Start and end of an element, and whether they depend on a controller; `None` if there is no such element.
-pub(super) type ElementTimes = Option<([Option<f64>; 2], bool)>;
 
 /// A trigger: true if all conditions of a group are true.
 pub(super) struct Trigger<'a> {
@@ -48,9 +33,9 @@ enum ConditionEdge {
 }
 
 enum ConditionKind {
-    Time(Threshold),
+    Time(ConditionThreshold),
     Element { kind: String, name: String, is_end: bool },
-    Entity { who: Vec<usize>, needs_all: bool, quantity: EntityQuantity, threshold: Threshold },
+    Entity { who: Vec<usize>, needs_all: bool, quantity: EntityQuantity, threshold: ConditionThreshold },
 }
 
 #[derive(Clone, Copy)]
@@ -63,13 +48,13 @@ enum EntityQuantity {
 }
 
 #[derive(Clone, Copy)]
-struct Threshold {
+struct ConditionThreshold {
     value: f64,
     is_lower: bool,
     is_strict: bool,
 }
 
-impl Threshold {
+impl ConditionThreshold {
     fn read(node: Node<'_>) -> Result<Self> {
         let (is_lower, is_strict) = match node.text("rule")?.as_str() {
             "greaterThan" => (true, true),
@@ -99,17 +84,21 @@ impl<'a> Trigger<'a> {
         Ok(Self { groups: Some(node.children().map(group).collect::<Result<Vec<_>>>()?) })
     }
 
+    pub(super) fn conditions(&self) -> usize {
+        self.groups.iter().flatten().map(Vec::len).sum()
+    }
+
     /// Returns the time at which the trigger fired in the step from `before_s` to `now_s`, and whether it depends on a
     /// controller.
-    pub(super) fn fires(&mut self, state: &impl ReplayState, before_s: f64, now_s: f64) -> Result<Option<(f64, bool)>> {
+    pub(super) fn fires(&mut self, state: &Replay<'_, '_>, before_s: f64, now_s: f64) -> Result<Option<(f64, bool)>> {
         let Some(groups) = &mut self.groups else { return Ok(Some((before_s, false))) };
         let mut first: Option<(f64, bool)> = None;
         for group in groups {
             let (mut fired, mut depends) = (Some(before_s), false);
             for condition in group {
-                let found = condition.true_from_s(state, before_s, now_s)?;
+                let (found, depends_too) = condition.evaluate(state, before_s, now_s)?;
                 fired = fired.zip(found).map(|(a, b)| a.max(b));
-                depends |= condition.depends_on_controller(state);
+                depends |= depends_too;
             }
             if let Some(time_s) = fired
                 && first.is_none_or(|(earlier_s, _)| time_s < earlier_s)
@@ -139,78 +128,49 @@ impl<'a> Condition<'a> {
         Ok(Self { node, kind, edge, delay_s, before: None, pending_s: Default::default() })
     }
 
-    /// Returns a time in the step at which the condition is true.
-    fn true_from_s(&mut self, state: &impl ReplayState, before_s: f64, now_s: f64) -> Result<Option<f64>> {
-        let margin = self.margin(state, now_s)?;
+    /// Returns a time in the step at which the condition is true, and whether it depends on a controller.
+    fn evaluate(&mut self, state: &Replay<'_, '_>, before_s: f64, now_s: f64) -> Result<(Option<f64>, bool)> {
+        let (margin, since_s, depends) = self.observe(state, now_s)?;
         let before = self.before.replace(margin);
         let (was, is) = (before.is_some_and(|before| before > 0.0), margin > 0.0);
-        let crossed_s = || match (&self.kind, before) {
-            (ConditionKind::Time(threshold), Some(_)) => threshold.value,
-            (_, Some(before)) => {
-                let share = before / (before - margin);
-                if share.is_finite() { before_s + share * (now_s - before_s) } else { now_s }
-            }
-            (_, None) => now_s,
+        let crossed_s = || {
+            let share = before.map_or(f64::NAN, |before| before / (before - margin));
+            let found_s = if share.is_finite() { before_s + share * (now_s - before_s) } else { now_s };
+            since_s.map_or(found_s, |since_s| since_s.max(before_s))
         };
         let true_s = match self.edge {
             ConditionEdge::None if is && was => Some(before_s),
-            ConditionEdge::None if is => Some(crossed_s()),
             ConditionEdge::Rising if before.is_none() && is => {
                 return Err(self.node.refuse("is true from the start, so that it never becomes true"));
             }
-            ConditionEdge::Rising if is && !was => Some(crossed_s()),
+            ConditionEdge::None | ConditionEdge::Rising if is && !was => Some(crossed_s()),
             ConditionEdge::Falling if was && !is => Some(crossed_s()),
             _ => None,
-        };
-        let true_s = match &self.kind {
-            ConditionKind::Element { .. } => {
-                true_s.map(|at_s| self.element_time_s(state).map_or(at_s, |own_s| own_s.max(before_s)))
-            }
-            _ => true_s,
         };
         self.pending_s.extend(true_s.map(|true_s| true_s + self.delay_s));
         let mut found = None;
         while let Some(due_s) = self.pending_s.pop_front_if(|due_s| *due_s <= now_s + 1e-9) {
             found = found.or(Some(due_s));
         }
-        Ok(found)
+        Ok((found, depends))
     }
 
-    fn element_time_s(&self, state: &impl ReplayState) -> Option<f64> {
-        let ConditionKind::Element { kind, name, is_end } = &self.kind else { return None };
-        let ([start_s, end_s], _) = state.element_times_s(kind, name)?;
-        if *is_end { end_s } else { start_s }
-    }
-
-    /// Returns a number that is positive if the condition holds.
-    fn margin(&self, state: &impl ReplayState, now_s: f64) -> Result<f64> {
+    /// Returns a number that is positive if the condition holds, the time since which it holds, if that is known
+    /// exactly, and whether it depends on a controller.
+    fn observe(&self, state: &Replay<'_, '_>, now_s: f64) -> Result<(f64, Option<f64>, bool)> {
         match &self.kind {
-            ConditionKind::Time(threshold) => Ok(threshold.margin(now_s)),
-            ConditionKind::Element { kind, name, .. } => {
-                if state.element_times_s(kind, name).is_none() {
-                    return Err(self.node.refuse(format!("there is no {kind} `{name}` in the stories")));
-                }
-                Ok(self.element_time_s(state).map_or(-1.0, |at_s| if at_s <= now_s { 1.0 } else { -1.0 }))
+            ConditionKind::Time(threshold) => Ok((threshold.margin(now_s), Some(threshold.value), false)),
+            ConditionKind::Element { kind, name, is_end } => {
+                let missing = || self.node.refuse(format!("there is no {kind} `{name}` in the stories"));
+                let (times_s, depends) = state.element_times_s(kind, name).ok_or_else(missing)?;
+                let at_s = times_s[usize::from(*is_end)];
+                Ok((if at_s.is_some_and(|at_s| at_s <= now_s) { 1.0 } else { -1.0 }, at_s, depends))
             }
             ConditionKind::Entity { who, needs_all, quantity, threshold } => {
                 let margins = who.iter().map(|one| threshold.margin(quantity.value(state, *one, now_s)));
-                Ok(if *needs_all {
-                    margins.fold(f64::INFINITY, f64::min)
-                } else {
-                    margins.fold(f64::NEG_INFINITY, f64::max)
-                })
-            }
-        }
-    }
-
-    fn depends_on_controller(&self, state: &impl ReplayState) -> bool {
-        match &self.kind {
-            ConditionKind::Time(_) => false,
-            ConditionKind::Element { kind, name, .. } => {
-                state.element_times_s(kind, name).is_some_and(|(_, depends)| depends)
-            }
-            ConditionKind::Entity { who, quantity, .. } => {
-                who.iter().copied().chain(quantity.target()).any(|entity| state.is_controlled(entity))
+                let margin = margins.reduce(if *needs_all { f64::min } else { f64::max }).unwrap_or(-1.0);
+                let depends = who.iter().copied().chain(quantity.target()).any(|entity| state.is_controlled(entity));
+                Ok((margin, None, depends))
             }
         }
     }
@@ -220,7 +180,7 @@ fn read_value_condition(node: Node<'_>) -> Result<ConditionKind> {
     match node.name() {
         "SimulationTimeCondition" => {
             node.only(&[], &["value", "rule"])?;
-            let threshold = Threshold::read(node)?;
+            let threshold = ConditionThreshold::read(node)?;
             if threshold.is_lower {
                 Ok(ConditionKind::Time(threshold))
             } else {
@@ -284,7 +244,7 @@ fn read_entity_condition(node: Node<'_>, entities: &[Entity]) -> Result<Conditio
         }
         _ => return Err(condition.refuse("is not supported as a condition")),
     };
-    Ok(ConditionKind::Entity { who, needs_all, quantity, threshold: Threshold::read(condition)? })
+    Ok(ConditionKind::Entity { who, needs_all, quantity, threshold: ConditionThreshold::read(condition)? })
 }
 
 impl EntityQuantity {
@@ -298,7 +258,7 @@ impl EntityQuantity {
         }
     }
 
-    fn value(self, state: &impl ReplayState, who: usize, now_s: f64) -> f64 {
+    fn value(self, state: &Replay<'_, '_>, who: usize, now_s: f64) -> f64 {
         let own_mps = state.speed_mps(who, now_s);
         let distance = |to: usize, is_free: bool| {
             let ahead_m = state.position_m(to, now_s) - state.position_m(who, now_s);
