@@ -183,8 +183,7 @@ pub(super) fn resolve_place(
                 Some(ahead_m) => ahead_m,
                 None => node.number("ds")?,
             };
-            // Positions along lanes against the direction of the road are negative.
-            road.place(node, lane, (reference.along_m + ahead_m).abs()).map(Some)
+            road.place_along(node, lane, reference.along_m + ahead_m).map(Some)
         }
         _ => Err(node.refuse("is not supported as a position")),
     }

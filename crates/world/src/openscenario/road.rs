@@ -38,7 +38,7 @@ struct Lane {
 pub(super) struct LanePlace {
     pub(super) road: String,
     pub(super) lane: i32,
-    /// Position along the lane in the direction of travel, in metres.
+    /// Position in the direction of travel, in metres.
     pub(super) along_m: f64,
 }
 
@@ -147,7 +147,19 @@ impl StraightRoad {
         if !(0.0..=self.length_m).contains(&s_m) {
             return Err(node.refuse(format!("{s_m} m is outside the road `{}` of {} m", self.id, self.length_m)));
         }
-        Ok(LanePlace { road: self.id.clone(), lane, along_m: self.direction(lane) * s_m })
+        let along_m = self.direction(lane) * (self.start_m() + s_m);
+        Ok(LanePlace { road: self.id.clone(), lane, along_m })
+    }
+
+    /// Returns the place at a position in the direction of travel.
+    pub(super) fn place_along(&self, node: Node<'_>, lane: i32, along_m: f64) -> Result<LanePlace> {
+        self.place(node, lane, self.direction(lane) * along_m - self.start_m())
+    }
+
+    /// Position of the start of the road along its direction, so that positions are x on a road along x.
+    fn start_m(&self) -> f64 {
+        let [x_m, y_m] = self.origin_m;
+        x_m * libm::cos(self.heading_rad) + y_m * libm::sin(self.heading_rad)
     }
 
     /// Returns the place of a point of the world. `heading_rad` must be the direction of travel.

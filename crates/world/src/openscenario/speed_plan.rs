@@ -217,8 +217,10 @@ impl SpeedPlan {
             let before_mps = speeds_mps.last().copied().unwrap_or_default();
             let (is_last, next_is_long) = (index + 1 == segments.len(), is_long(index + 1));
             if is_long(index) {
-                let next_mps = if next_is_long { mean_mps(index + 1) } else { mean_mps(index) };
-                speeds_mps.push(0.5 * (mean_mps(index) + next_mps));
+                // A larger difference is a jump, which begins at the vertex.
+                let change_mps = mean_mps(index + 1) - mean_mps(index);
+                let is_smooth = next_is_long && change_mps.abs() <= 2.0 * SPEED_TOLERANCE_MPS;
+                speeds_mps.push(mean_mps(index) + if is_smooth { 0.5 * change_mps } else { 0.0 });
                 chain = index + 1;
                 continue;
             }

@@ -36,7 +36,6 @@ dynamicsDimension="time" value="0"/><SpeedActionTarget>{speed}</SpeedActionTarge
 </PrivateAction></Private>"#
         )
     };
-    let place_of_ego = r#"<WorldPosition x="110" y="-1.75"/>"#;
     format!(
         r#"<OpenSCENARIO>
 <FileHeader revMajor="1" revMinor="2" date="2024-01-01T00:00:00" author="a" description="Two cars"/>
@@ -111,7 +110,7 @@ fn speed_actions_of_all_shapes_become_scripts() {
     let scenario = import(&file(same_lane(), &speed_action("linear", "rate", "$rate", 10.0), TIME)).unwrap();
     let [other, ego] = scenario.vehicles() else { panic!("{scenario:?}") };
     // The reference point is the rear axle, 1.5 m behind the middle.
-    assert_eq!((other.position_m, ego.position_m, other.speed_mps), (144.0, 104.0, 20.0));
+    assert_eq!((other.position_m, ego.position_m, other.speed_mps), (154.0, 114.0, 20.0));
     assert_eq!((other.length_m, other.max_brake_mps2, &ego.driver), (Some(5.0), Some(8.0), &Driver::UnderTest));
     let Driver::Profile(LeadProfile::BrakeToSpeed(brake)) = &other.driver else { panic!("{other:?}") };
     assert_eq!((brake.onset_s, brake.rate_mps2, brake.final_speed_mps), (2.5, 4.0, 10.0));
