@@ -95,6 +95,11 @@ impl LaneScenarioBuilder<'_, '_> {
         spec.max_brake_mps2 = body.max_brake_mps2;
         spec.max_accel_mps2 = body.max_accel_mps2;
         if is_scripted {
+            if motion.follows_path {
+                let raised = raise_limits(&mut spec, &motion.plan, [start_s, self.stop_s], self.friction);
+                let note = |needed| format!("the trajectory of `{}` needs {needed}: its limits are raised", body.name);
+                self.notes.extend(raised.map(note));
+            }
             self.check_limits(&spec, &motion.plan, start_s, &body.name)?;
         } else {
             spec.jerk_limit_mps3 = body.jerk_limit_mps3;
@@ -203,6 +208,26 @@ impl LaneScenarioBuilder<'_, '_> {
         ));
         Ok(())
     }
+}
+
+/// Raises the limits of a vehicle to what its trajectory needs, and returns this in words.
+fn raise_limits(
+    spec: &mut VehicleSpec,
+    plan: &SpeedPlan,
+    [start_s, stop_s]: [f64; 2],
+    friction: f64,
+) -> Option<String> {
+    let steps = ((stop_s - start_s) / REPLAY_STEP_S).floor() as usize;
+    let speed_mps = |step: usize| plan.at(start_s + step as f64 * REPLAY_STEP_S).speed_mps;
+    let rates = (0..steps).map(|step| (speed_mps(step + 1) - speed_mps(step)) / REPLAY_STEP_S);
+    let [lowest, highest] = rates.fold([0.0_f64; 2], |[low, high], rate| [low.min(rate), high.max(rate)]);
+    let (brake_mps2, accel_mps2) = (-lowest / friction, highest);
+    if brake_mps2 <= spec.max_brake_mps2() && accel_mps2 <= spec.max_accel_mps2() {
+        return None;
+    }
+    spec.max_brake_mps2 = Some(brake_mps2.max(spec.max_brake_mps2()));
+    spec.max_accel_mps2 = Some(accel_mps2.max(spec.max_accel_mps2()));
+    Some(format!("{lowest:.1} to {highest:.1} m/s²"))
 }
 
 /// Returns the script of a motion from a time on: braking, constant speed, or recorded speeds.

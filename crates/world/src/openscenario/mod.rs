@@ -15,6 +15,7 @@ mod lane_scenario;
 mod parameters;
 mod path_actions;
 mod replay;
+mod replay_state;
 mod road;
 mod source;
 mod space;

@@ -26,6 +26,8 @@ pub(super) struct EntityMotion<'a> {
     pub(super) plan: SpeedPlan,
     /// True if a speed profile or a trajectory made the plan.
     pub(super) is_recorded: bool,
+    /// True if a trajectory made the plan.
+    pub(super) follows_path: bool,
     pub(super) lane: i32,
     pub(super) lane_changes: Vec<LaneChangeTimes<'a>>,
     pub(super) activated_s: Option<f64>,
@@ -44,68 +46,22 @@ pub(super) struct LaneChangeTimes<'a> {
 }
 
 #[derive(Default, Clone, Copy)]
-struct EventTimes {
-    start_s: Option<f64>,
-    end_s: Option<f64>,
-    depends: bool,
+pub(super) struct EventTimes {
+    pub(super) start_s: Option<f64>,
+    pub(super) end_s: Option<f64>,
+    pub(super) depends: bool,
 }
 
 pub(super) struct Replay<'a, 'b> {
     pub(super) entities: &'b [Entity],
     pub(super) motion: Vec<EntityMotion<'a>>,
-    events: Vec<StoryEvent<'a>>,
-    times: Vec<EventTimes>,
+    pub(super) events: Vec<StoryEvent<'a>>,
+    pub(super) times: Vec<EventTimes>,
     /// Ends of the actions of each event, in their order.
-    action_ends_s: Vec<Vec<f64>>,
+    pub(super) action_ends_s: Vec<Vec<f64>>,
     pub(super) roads: &'b RoadMap<'b>,
     pub(super) road_id: String,
     now_s: f64,
-}
-
-/// Start and end of an element, if they were reached, and whether they depend on a controller.
-type ElementTimes = ([Option<f64>; 2], bool);
-
-impl Replay<'_, '_> {
-    pub(super) fn speed_mps(&self, entity: usize, time_s: f64) -> f64 {
-        self.motion.get(entity).map_or(0.0, |motion| motion.plan.at(time_s).speed_mps)
-    }
-
-    /// Returns the position of the reference point along the road, in metres.
-    pub(super) fn position_m(&self, entity: usize, time_s: f64) -> f64 {
-        self.motion.get(entity).map_or(0.0, |motion| motion.plan.at(time_s).position_m)
-    }
-
-    /// Returns the distance of the front and of the rear bumper from the reference point, in metres.
-    pub(super) fn bumpers_m(&self, entity: usize) -> [f64; 2] {
-        self.entities.get(entity).map_or([0.0; 2], |one| [one.front_m, one.length_m - one.front_m])
-    }
-
-    /// Returns the times of an element of the storyboard; `None` if there is no such element.
-    pub(super) fn element_times_s(&self, kind: &str, name: &str) -> Option<ElementTimes> {
-        if kind == "action" {
-            let place =
-                self.events.iter().zip(&self.times).zip(&self.action_ends_s).find_map(|((event, times), ends)| {
-                    let place = event.actions.iter().position(|(action, _)| action == name)?;
-                    Some(([times.start_s, ends.get(place).copied()], times.depends))
-                });
-            return place;
-        }
-        let level = ["story", "act", "maneuverGroup", "maneuver"].iter().position(|level| *level == kind);
-        let is_inside = |event: &StoryEvent<'_>| match level {
-            Some(level) => event.parents.get(level).is_some_and(|parent| parent == name),
-            None => kind == "event" && event.name == name,
-        };
-        let inside: Vec<&EventTimes> =
-            self.events.iter().zip(&self.times).filter(|(event, _)| is_inside(event)).map(|(_, times)| times).collect();
-        let start_s = inside.iter().filter_map(|times| times.start_s).reduce(f64::min);
-        let end_s = inside.iter().map(|times| times.end_s).reduce(|a, b| a.zip(b).map(|(a, b)| a.max(b))).flatten();
-        (!inside.is_empty()).then(|| ([start_s, end_s], inside.iter().any(|times| times.depends)))
-    }
-
-    /// Returns true if the motion of an entity depends on a controller.
-    pub(super) fn is_controlled(&self, entity: usize) -> bool {
-        self.motion.get(entity).is_some_and(|motion| motion.is_controlled)
-    }
 }
 
 impl<'a, 'b> Replay<'a, 'b> {
@@ -120,6 +76,7 @@ impl<'a, 'b> Replay<'a, 'b> {
         let motion = motion.map(|(((place, speed_mps), &is_controlled), &is_active)| EntityMotion {
             plan: SpeedPlan::constant(place.along_m, speed_mps.unwrap_or(0.0)),
             is_recorded: false,
+            follows_path: false,
             lane: place.lane,
             lane_changes: Vec::new(),
             activated_s: is_active.then_some(0.0),
@@ -286,7 +243,7 @@ impl<'a, 'b> Replay<'a, 'b> {
                 (event, time_s)
             }
             StoryAction::Trajectory(trajectory) => {
-                motion.is_recorded = true;
+                (motion.is_recorded, motion.follows_path) = (true, true);
                 motion.plan.follow(&vertices, REPLAY_STEP_S);
                 (trajectory.node, vertices.last().map_or(start_s, |(time_s, _)| *time_s))
             }

@@ -198,59 +198,37 @@ impl SpeedPlan {
     /// Follows vertices of time and position from the first on. `step_s` is the step of the simulation.
     ///
     /// Positions of a polyline determine only mean speeds. Over segments of more than a step the speed is constant up
-    /// to one step from each end. In a chain of shorter segments each speed follows from the one before; their
-    /// alternating error, which is that of the first speed, is estimated from the second differences and removed.
+    /// to one step from each end. In shorter segments the speed at the end follows from that at the start; errors of
+    /// the speed alternate and decay, and errors of the position are corrected in the next segment.
     pub(super) fn follow(&mut self, vertices: &[(f64, f64)], step_s: f64) {
         /// Largest difference of the speed at the end of a segment from its mean in crumple's export, in m/s.
         const SPEED_TOLERANCE_MPS: f64 = 0.005;
+        /// Share of an alternating error that remains after a segment.
+        const REMAINING_RIPPLE: f64 = 0.95;
         let Some(&(start_s, _)) = vertices.first() else { return };
         self.cut(start_s);
-        let segments: Vec<(f64, f64)> = vertices
-            .windows(2)
-            .map(|pair| (pair[1].0 - pair[0].0, (pair[1].1 - pair[0].1) / (pair[1].0 - pair[0].0)))
-            .collect();
-        let is_long = |index: usize| segments.get(index).is_some_and(|(span_s, _)| *span_s > 1.5 * step_s);
-        let mean_mps = |index: usize| segments.get(index).map_or(0.0, |(_, mean_mps)| *mean_mps);
-        let mut speeds_mps = vec![self.at(start_s).speed_mps];
-        let mut chain = 0;
-        for index in 0..segments.len() {
-            let before_mps = speeds_mps.last().copied().unwrap_or_default();
-            let (is_last, next_is_long) = (index + 1 == segments.len(), is_long(index + 1));
-            if is_long(index) {
-                // A larger difference is a jump, which begins at the vertex.
-                let change_mps = mean_mps(index + 1) - mean_mps(index);
-                let is_smooth = next_is_long && change_mps.abs() <= 2.0 * SPEED_TOLERANCE_MPS;
-                speeds_mps.push(mean_mps(index) + if is_smooth { 0.5 * change_mps } else { 0.0 });
-                chain = index + 1;
+        let mean_mps = |index: usize| match vertices.get(index..index + 2) {
+            Some([(from_s, from_m), (to_s, to_m)]) => Some(((to_m - from_m) / (to_s - from_s), to_s - from_s)),
+            _ => None,
+        };
+        for (index, &(to_s, to_m)) in vertices.iter().enumerate().skip(1) {
+            let Some((stated_mps, span_s)) = mean_mps(index - 1) else { return };
+            let from = self.at(to_s - span_s);
+            let covered_m = to_m - from.position_m;
+            if span_s <= 1.5 * step_s {
+                let wanted_mps = (1.0 + REMAINING_RIPPLE) * covered_m / span_s - REMAINING_RIPPLE * from.speed_mps;
+                self.push(to_s, wanted_mps.max(0.0));
                 continue;
             }
-            speeds_mps.push((2.0 * mean_mps(index) - before_mps).max(0.0));
-            if is_last || next_is_long {
-                let speeds = speeds_mps.get_mut(chain..).unwrap_or_default();
-                if chain > 0 {
-                    let bends = speeds.windows(3).map(|three| three[2] - 2.0 * three[1] + three[0]);
-                    let signed = bends.enumerate().map(|(place, bend)| if place % 2 == 0 { bend } else { -bend });
-                    let ripple_mps = signed.sum::<f64>() / (4.0 * speeds.len().saturating_sub(2).max(1) as f64);
-                    let ripple_mps = ripple_mps.clamp(-SPEED_TOLERANCE_MPS, SPEED_TOLERANCE_MPS);
-                    for (place, speed_mps) in speeds.iter_mut().enumerate().filter(|(_, speed_mps)| **speed_mps > 0.0) {
-                        *speed_mps += if place % 2 == 0 { -ripple_mps } else { ripple_mps };
-                        *speed_mps = speed_mps.max(0.0);
-                    }
-                }
-                chain = index + 1;
-            }
-        }
-        for ((index, &(span_s, _)), ends_mps) in segments.iter().enumerate().zip(speeds_mps.windows(2)) {
-            let Some(&(to_s, to_m)) = vertices.get(index + 1) else { return };
-            let [from_mps, to_mps] = [ends_mps[0], ends_mps[1]];
-            if is_long(index) {
-                let covered_m = to_m - self.at(to_s - span_s).position_m;
-                let ramp_s = step_s.min(span_s / 2.0);
-                let held_mps = (covered_m - ramp_s * 0.5 * (from_mps + to_mps)) / (span_s - ramp_s);
-                self.push(to_s - span_s + ramp_s, held_mps.max(0.0));
-                self.push(to_s - ramp_s, held_mps.max(0.0));
-            }
-            self.push(to_s, to_mps);
+            // A larger change is a jump, which begins at the vertex.
+            let next_mps = mean_mps(index).filter(|(_, span_s)| *span_s > 1.5 * step_s).map(|(mps, _)| mps);
+            let smooth_mps = next_mps.filter(|mps| (mps - stated_mps).abs() <= 2.0 * SPEED_TOLERANCE_MPS);
+            let to_mps = 0.5 * (stated_mps + smooth_mps.unwrap_or(stated_mps));
+            let ramp_s = step_s.min(span_s / 2.0);
+            let held_mps = ((covered_m - ramp_s * 0.5 * (from.speed_mps + to_mps)) / (span_s - ramp_s)).max(0.0);
+            self.push(to_s - span_s + ramp_s, held_mps);
+            self.push(to_s - ramp_s, held_mps);
+            self.push(to_s, to_mps.max(0.0));
         }
     }
 }

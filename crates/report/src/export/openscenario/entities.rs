@@ -57,7 +57,8 @@ fn write_vehicle(xml: &mut Xml, vehicle: &VehicleSpec) -> io::Result<()> {
     let named = [("name", vehicle.class.name()), ("vehicleCategory", category), ("mass", &mass)];
     write_element(xml, "Vehicle", &named, |xml| {
         write_element(xml, "BoundingBox", &[], |xml| {
-            let middle = format_number(length_m * (0.5 - REAR_OVERHANG_SHARE));
+            // All digits: the position of the front bumper follows from it.
+            let middle = (length_m * (0.5 - REAR_OVERHANG_SHARE)).to_string();
             write_empty_element(xml, "Center", &[("x", &middle), ("y", "0"), ("z", &half_height)])?;
             write_empty_element(xml, "Dimensions", &[("width", &width), ("length", &length), ("height", &height)])
         })?;

@@ -115,6 +115,7 @@ pub fn export_trajectories(
 /// scenario has.
 pub fn export_actions(scenario: &Scenario, road: &str) -> Result<OpenScenario, OpenScenarioError> {
     check_single_lane(scenario)?;
+    let scenario = &round_as_written(scenario);
     let moves = actions::scripted_vehicles(scenario)?;
     let vertices = check_vertex_count(moves.iter().map(|one| one.profile().len()).sum())?;
     let end_s = scenario.spec().duration_s;
@@ -125,6 +126,26 @@ pub fn export_actions(scenario: &Scenario, road: &str) -> Result<OpenScenario, O
         road: road::road_for_scenario(scenario, scripts_mps)?,
         vertices,
     })
+}
+
+/// Rounds limits and lengths as the file states them, so that what follows from them is the same after an import.
+fn round_as_written(scenario: &Scenario) -> Scenario {
+    let rounded = scenario.edited(|spec| {
+        spec.environment.friction = round(spec.environment.friction);
+        for vehicle in &mut spec.vehicles {
+            vehicle.speed_mps = round(vehicle.speed_mps);
+            vehicle.length_m = Some(round(vehicle.length_m()));
+            vehicle.max_brake_mps2 = Some(round(vehicle.max_brake_mps2()));
+            vehicle.max_accel_mps2 = Some(round(vehicle.max_accel_mps2()));
+        }
+    });
+    // Rounding can make only a scenario at a limit invalid.
+    rounded.unwrap_or_else(|_| scenario.clone())
+}
+
+fn round(value: f64) -> f64 {
+    // Adding zero turns -0 into 0.
+    (value * 1e9).round() / 1e9 + 0.0
 }
 
 fn check_vertex_count(found: usize) -> Result<usize, OpenScenarioError> {
@@ -170,8 +191,7 @@ fn write_inside(xml: &mut Xml, path: &str, write: impl FnOnce(&mut Xml, &str) ->
 
 /// Formats a number with at most nine decimals, more than any position needs.
 fn format_number(value: f64) -> String {
-    // Adding zero turns -0 into 0.
-    ((value * 1e9).round() / 1e9 + 0.0).to_string()
+    round(value).to_string()
 }
 
 /// Returns text as an attribute value: one line of characters that XML allows. A leading dollar sign would start a
