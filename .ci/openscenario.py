@@ -1,4 +1,4 @@
-"""Exports scenarios, checks the files, reads them back and compares: `openscenario.py BIN COUNT`.
+"""Exports scenarios, checks the files, reads them back and compares, and imports a file: `openscenario.py BIN COUNT`.
 
 `.ci/openscenario` runs this program in an environment with the needed packages.
 """
@@ -15,6 +15,7 @@ import re
 import subprocess
 import sys
 import tempfile
+import tomllib
 import xml.etree.ElementTree as ElementTree
 from collections import defaultdict
 from concurrent.futures import ProcessPoolExecutor
@@ -27,7 +28,7 @@ from lxml import etree
 from qc_baselib import Configuration, Result, StatusType
 from qc_openscenario import constants
 from qc_openscenario.main import run_checks
-from scenariogeneration import xosc
+from scenariogeneration import xodr, xosc
 
 CLOSE_M = CLOSE_MPS = 0.01
 BIN, COUNT = Path(sys.argv[1]), int(sys.argv[2])
@@ -137,7 +138,72 @@ def check(task):
         assert_valid_road(exported.with_suffix(".xodr"))
         if way == "trajectories":
             errors = compare(scenario, exported, folder / "trace.csv")
+        crumple("import", exported, "--out", folder / f"{way}-again")
+        (imported,) = (folder / f"{way}-again").glob("*.toml")
+        crumple("simulate", imported, *controller, "--trace", folder / f"{way}.csv")
+        if way == "actions":
+            crumple("export", imported, "--to", "openscenario", "--as", way, "--out", folder / "third")
+            (third,) = (folder / "third").glob("*.xosc")
+            assert third.read_bytes() == exported.read_bytes(), f"{scenario}: another export of the import"
     return errors
+
+
+def generate_cut_in(folder):
+    """Writes a cut-in and a road with scenariogeneration, and returns the path of the scenario."""
+    road = xodr.create_road(xodr.Line(3000), id=1, left_lanes=0, right_lanes=2, lane_width=3.5)
+    drive = xodr.OpenDrive("road")
+    drive.add_road(road)
+    drive.adjust_roads_and_lanes()
+    drive.write_xml(str(folder / "road.xodr"))
+    box = xosc.BoundingBox(2, 4.8, 1.5, 1.4, 0, 0.75)
+    axles = [xosc.Axle(0.5, 0.6, 1.8, 2.8, 0.3), xosc.Axle(0, 0.6, 1.8, 0, 0.3)]
+    car = xosc.Vehicle("car", xosc.VehicleCategory.car, box, *axles, 60, 5, 9)
+    entities, init = xosc.Entities(), xosc.Init()
+    entities.add_scenario_object("ego", car, xosc.Controller("mine", xosc.Properties()))
+    entities.add_scenario_object("other", car)
+    step = xosc.TransitionDynamics(xosc.DynamicsShapes.step, xosc.DynamicsDimension.time, 0)
+    for name, place, lane in [("ego", 50, -1), ("other", 90, -2)]:
+        init.add_init_action(name, xosc.TeleportAction(xosc.LanePosition(place, 0, lane, 1)))
+        init.add_init_action(name, xosc.AbsoluteSpeedAction("$speed" if name == "ego" else 20, step))
+    sine = xosc.TransitionDynamics(xosc.DynamicsShapes.sinusoidal, xosc.DynamicsDimension.time, 3)
+    brake = xosc.TransitionDynamics(xosc.DynamicsShapes.linear, xosc.DynamicsDimension.rate, 4)
+    maneuver = xosc.Maneuver("maneuver")
+    for name, time, action in [
+        ("change", 3, xosc.AbsoluteLaneChangeAction(-1, sine)),
+        ("brake", 8, xosc.AbsoluteSpeedAction(5, brake)),
+    ]:
+        event = xosc.Event(name, xosc.Priority.parallel)
+        event.add_action(name, action)
+        after = xosc.SimulationTimeCondition(time, xosc.Rule.greaterOrEqual)
+        event.add_trigger(xosc.ValueTrigger(f"{name}-trigger", 0, xosc.ConditionEdge.none, after))
+        maneuver.add_event(event)
+    stop = xosc.SimulationTimeCondition(20, xosc.Rule.greaterThan)
+    story = xosc.StoryBoard(init, xosc.ValueTrigger("end", 0, xosc.ConditionEdge.none, stop, "stop"))
+    story.add_maneuver(maneuver, "other")
+    parameters = xosc.ParameterDeclarations()
+    parameters.add_parameter(xosc.Parameter("speed", xosc.ParameterType.double, "22"))
+    roads = xosc.RoadNetwork("road.xodr")
+    scenario = xosc.Scenario(
+        "cut-in", "crumple", parameters, entities, story, roads, xosc.Catalog(), osc_minor_version=2
+    )
+    scenario.write_xml(str(folder / "cut-in.xosc"))
+    return folder / "cut-in.xosc"
+
+
+def assert_imports(folder):
+    """Checks that a generated scenario is valid, is imported as written, and runs."""
+    folder.mkdir()
+    written = generate_cut_in(folder)
+    found = objections(written)
+    assert not found, found
+    crumple("import", written, "--out", folder)
+    with open(folder / "cut-in.toml", "rb") as text:
+        other, ego = tomllib.load(text)["vehicles"]
+    assert (ego["driver"], ego["speed_mps"], other["speed_mps"]) == ("under-test", 22, 20), (ego, other)
+    assert other["driver"] == {"brake-to-speed": {"onset_s": 8, "rate_mps2": 4, "final_speed_mps": 5}}, other
+    # The side is 0.75 m from the marking: 21 % of the way, after 31 % of the time.
+    assert abs(other["enters"]["at_s"] - 3.92) < 0.01, other
+    crumple("simulate", folder / "cut-in.toml", "--controller", "idm")
 
 
 def random_script(chance, speed):
@@ -194,6 +260,7 @@ def main():
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         assert_faults_are_found(folder / "faults")
+        assert_imports(folder / "imports")
         known = re.findall(r"^  (\S+)", crumple("list", "scenarios"), re.MULTILINE)
         assert "paper-1" in known, "no built-in scenarios"
         chance = random.Random(24)

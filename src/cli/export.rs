@@ -222,7 +222,7 @@ impl Export {
 }
 
 /// Returns a file name for a scenario's name.
-fn file_stem(name: &str) -> String {
+pub(super) fn file_stem(name: &str) -> String {
     let plain = |c: char| if c.is_alphanumeric() || "-_.".contains(c) { c } else { '-' };
     name.chars().map(plain).take(60).collect()
 }

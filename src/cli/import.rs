@@ -1,4 +1,4 @@
-//! `crumple import`: converts recorded platoons into scenarios.
+//! `crumple import`: converts recorded platoons and OpenSCENARIO files into scenarios.
 
 use std::ffi::OsStr;
 use std::fs;
@@ -8,6 +8,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::CliError;
+use super::import_openscenario::{OpenScenarioArgs, is_openscenario};
 use super::output_folder::{EarlierFiles, OutputFolder, stage_unless_edited};
 use super::simulate::OutputFormat;
 use super::{feature, output, simulate, value_enums};
@@ -21,7 +22,7 @@ use crumple_world::recording::{
     hardest_braking, import, load, preview,
 };
 
-/// Turn braking episodes of recorded platoons into scenario files
+/// Turn recorded braking episodes, or OpenSCENARIO files, into scenario files
 #[derive(Args)]
 #[command(after_long_help = "\
 Reads two formats, which it distinguishes by their first line: OpenACC CSV (speeds and bumper-to-bumper spacings of \
@@ -32,6 +33,10 @@ vehicle's speed drops by more than --min-brake times one second within one secon
 Those behind it start at the recorded gaps and speeds and are under test; only the last of three or more vehicles is \
 driven by the baseline. Without any episode the exit code is 1, and the hardest braking found is printed.
 
+An OpenSCENARIO file F.xosc (1.0 to 1.3) becomes a scenario on the lane of the vehicle under test. \
+--distribution makes a scenario of each combination of values (at most 10 000), or a space of random values. \
+Unsupported content is an error with element, line and reason. A file may have 256 MiB.
+
 A recording may have 5 million rows, 20 million speeds and gaps, 200 vehicles of a platoon or 100 000 events; \
 crumple refuses larger recordings and states the line. A map may have 64 KiB. An existing scenario file stays as it \
 is if it is equal; if it differs, nothing is written without --force.
@@ -39,9 +44,10 @@ is if it is equal; if it differs, nothing is written without --force.
 Examples:
   crumple import platoon.csv --out episodes
   crumple import 01_tracks.csv --map highd --preview 01.svg
-  crumple import log.csv --map log.toml --min-brake 2 --out episodes")]
+  crumple import log.csv --map log.toml --min-brake 2 --out episodes
+  crumple import cut-in.xosc --ego Ego --distribution speeds.xosc --out cut-ins")]
 pub(super) struct Import {
-    /// Recordings
+    /// Recordings, or one OpenSCENARIO file
     #[arg(required = true, value_name = "RECORDING")]
     recordings: Vec<PathBuf>,
     /// Meanings of the columns: a file (docs/exchange.md), or openacc, highd, ngsim or sumo-fcd
@@ -61,6 +67,8 @@ pub(super) struct Import {
     /// Mean deceleration over one second that makes a braking episode, in m/s² [default: 1.3]
     #[arg(long, value_name = "A", allow_hyphen_values = true)]
     min_brake: Option<f64>,
+    #[command(flatten)]
+    openscenario: OpenScenarioArgs,
     /// Folder for the scenario files, created if missing
     #[arg(long, value_name = "DIR", default_value = "episodes")]
     out: PathBuf,
@@ -151,6 +159,17 @@ pub(super) fn render_figure(drawn: &Svg, path: &Path) -> Result<Vec<u8>, CliErro
 
 impl Import {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+        if let Some(file) = self.recordings.iter().find(|path| is_openscenario(path)) {
+            let is_alone = self.recordings.len() == 1 && self.map.is_none() && self.preview.is_none();
+            if !is_alone || self.min_brake.is_some() {
+                let problem = "give an OpenSCENARIO file alone, with --ego, --distribution, --out and --force only";
+                return Err(CliError::at(file, problem));
+            }
+            return self.openscenario.import(file, (&self.out, self.force), self.format, quiet);
+        }
+        if self.openscenario.is_used() {
+            return Err(CliError::Input("--ego and --distribution apply only to a file F.xosc".to_owned()));
+        }
         let map = self.map.as_deref().map(load_map).transpose()?;
         if let Some(picture) = &self.preview {
             return self.show_preview(picture, map.as_ref(), quiet);

@@ -22,6 +22,7 @@ mod file_kind;
 mod fit;
 mod fsck;
 mod import;
+mod import_openscenario;
 mod interrupt;
 mod list;
 mod merge;

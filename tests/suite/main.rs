@@ -32,6 +32,7 @@ mod networks;
 mod obligations;
 mod onnx_bytes;
 mod openscenario;
+mod openscenario_import;
 mod paper;
 mod physics;
 mod policy_files;

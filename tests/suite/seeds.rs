@@ -41,6 +41,13 @@ fn descriptions() -> Vec<Vec<u8>> {
     texts.into_iter().flat_map(|text| cuts(text).chain([text.as_bytes().to_vec()])).collect()
 }
 
+/// The seeds, cut before each element.
+fn openscenario_files() -> Vec<Vec<u8>> {
+    let seeds = fs::read_dir(root().join("corpora/fuzz/openscenario")).unwrap().map(|entry| entry.unwrap().path());
+    let cuts = |text: String| text.match_indices('<').map(|(place, _)| text.as_bytes()[..place].to_vec()).collect();
+    seeds.flat_map(|path| -> Vec<_> { cuts(fs::read_to_string(path).unwrap()) }).collect()
+}
+
 /// Writes `fuzz/fresh/TARGET/NUMBER`.
 #[test]
 #[ignore = "writes files; fuzz/renew-seeds runs it"]
@@ -55,6 +62,7 @@ fn fresh_seeds() {
             "fmu_file" => descriptions(),
             "certificate" => certificates(),
             "recording" => recordings(),
+            "openscenario" => openscenario_files(),
             "stl" => formulas(),
             "work_folder" => folder_changes(),
             other => panic!("nothing is generated for {other}"),

@@ -15,6 +15,7 @@ use super::{
 };
 use crumple_world::measure::stl::{Formula, SampledSignals, SyntaxProblem, naive_robustness};
 use crumple_world::network::NetworkFile;
+use crumple_world::openscenario::{OpenScenarioSource, ParameterDistributionFile};
 use crumple_world::policy::{Policy, Workspace};
 use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{self, LeaderSelection, MinBrake, find_episodes};
@@ -26,7 +27,7 @@ use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
 pub type FuzzTarget = fn(&[u8]) -> Result<(), Violation>;
 
 /// All targets by name, which is also the name of the folder of their seeds.
-pub const TARGETS: [(&str, FuzzTarget); 10] = [
+pub const TARGETS: [(&str, FuzzTarget); 11] = [
     ("scenario", scenario),
     ("lanes", lanes),
     ("scenario_file", scenario_file),
@@ -35,6 +36,7 @@ pub const TARGETS: [(&str, FuzzTarget); 10] = [
     ("fmu_file", fmu_file),
     ("certificate", certificate),
     ("recording", recording),
+    ("openscenario", openscenario),
     ("stl", stl),
     ("work_folder", work_folder),
 ];
@@ -259,6 +261,37 @@ pub fn recording(bytes: &[u8]) -> Result<(), Violation> {
         let is_even =
             seen.is_none_or(|seen| seen.speed_mps[0] <= seen.speed_mps[1] && seen.speed_mps[1] <= seen.speed_mps[2]);
         ensure(is_even, Invariant::Reading, "", || "speeds are out of order".to_owned())?;
+    }
+    Ok(())
+}
+
+/// Road of the scenarios of [`openscenario`]: two lanes, of which one has its middle at y = 0.
+const ROAD: &[u8] = br#"<OpenDRIVE><road id="1" length="4000" junction="-1"><planView>
+<geometry s="0" x="-1000" y="1.875" hdg="0" length="4000"><line/></geometry></planView><lanes><laneSection s="0"><right>
+<lane id="-1"><width sOffset="0" a="3.75"/></lane><lane id="-2"><width sOffset="0" a="3.75"/></lane></right>
+</laneSection></lanes></road></OpenDRIVE>"#;
+
+/// Checks that bytes are an OpenSCENARIO file on a straight road, or a file with distributions, or are refused with an
+/// existing line. An imported scenario must survive a round trip as a file.
+///
+/// # Errors
+/// A [`Violation`] of [`Invariant::Reading`] or [`Invariant::Files`].
+pub fn openscenario(bytes: &[u8]) -> Result<(), Violation> {
+    let text = String::from_utf8_lossy(bytes);
+    let variations = ParameterDistributionFile::from_bytes(bytes).and_then(|found| found.variations());
+    let imported = OpenScenarioSource::from_bytes(bytes, ROAD).and_then(|source| source.scenario(None, &[]));
+    if let Ok(imported) = &imported {
+        let written = to_toml(&imported.scenario).unwrap_or_default();
+        let back = from_toml(&written, Path::new("f.toml"));
+        let same = back.as_ref().is_ok_and(|back| *back == imported.scenario);
+        ensure(same, Invariant::Files, &text, || format!("it reads back as {back:?}"))?;
+    }
+    for message in [variations.err(), imported.err()].into_iter().flatten().map(|error| error.to_string()) {
+        let place = message.strip_prefix("f.xosc:").or(message.strip_prefix("d.xosc:"));
+        let line = place.and_then(|rest| rest.split_once(": ")?.0.parse::<usize>().ok());
+        let lines = 1 + text.matches('\n').count();
+        let is_there = line.is_none_or(|line| (1..=lines).contains(&line)) && !message.is_empty();
+        ensure(is_there, Invariant::Reading, &text, || message)?;
     }
     Ok(())
 }

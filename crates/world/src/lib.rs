@@ -18,6 +18,7 @@
 //! | [`sim`] | exact steps, collision times, two engines with identical results, the trace |
 //! | [`measure`] | surrogate safety measures; signal temporal logic and its monitor |
 //! | `recording` | conversion of recorded traffic to scenarios (a feature) |
+//! | `openscenario` | import of OpenSCENARIO (a feature) |
 
 pub mod control;
 pub mod estimate;
@@ -25,6 +26,8 @@ mod idm;
 pub mod measure;
 pub mod network;
 pub mod observation;
+#[cfg(feature = "openscenario")]
+pub mod openscenario;
 pub mod policy;
 pub mod process;
 pub mod random;

@@ -5,6 +5,7 @@ mod certificates;
 mod exchange;
 pub(crate) mod falsify;
 mod fit;
+mod import_openscenario;
 mod output_folders;
 mod outputs;
 mod printed_text;

@@ -9,7 +9,7 @@ use super::polyline::simplify_polyline;
 use super::storyboard::{VehicleManeuver, write_speed_action};
 use super::{OpenScenarioError, Xml, format_number, write_element, write_empty_element};
 use crumple_world::control::ControllerSpec;
-use crumple_world::scenario::{Driver, LeadProfile, Scenario, VehicleSpec};
+use crumple_world::scenario::{Driver, LeadProfile, RecordedSpeeds, Scenario, VehicleSpec};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
 /// Maximum error of a speed profile, in m/s: one millimetre in a quarter of an hour.
@@ -48,9 +48,14 @@ fn scripted_action(
 ) -> Result<ScriptedAction, OpenScenarioError> {
     let usable_mps2 = scenario.usable_brake_mps2(index);
     let start_mps = scenario.vehicles().get(index).map_or(0.0, |vehicle| vehicle.speed_mps);
-    let brake = |onset_s, wanted_mps2: f64, final_speed_mps| match wanted_mps2.min(usable_mps2) {
+    let step_s = scenario.spec().step_s;
+    let brake = |onset_s: f64, wanted_mps2: f64, final_speed_mps| match wanted_mps2.min(usable_mps2) {
         // With a rate of 0 the action would never end.
         rate_mps2 if rate_mps2 > 0.0 && final_speed_mps < start_mps => {
+            // In the step of the onset, the limit applies to the mean of the script: less braking is cut off.
+            let step_end_s = ((onset_s / step_s).floor() + 1.0) * step_s;
+            let braking_s = ((step_end_s - onset_s) * wanted_mps2 / rate_mps2).min(step_s);
+            let onset_s = if wanted_mps2 > rate_mps2 { step_end_s - braking_s } else { onset_s };
             ScriptedAction::Brake { onset_s, rate_mps2, final_speed_mps }
         }
         _ => ScriptedAction::KeepSpeed,
@@ -67,6 +72,11 @@ fn scripted_action(
             let trace = simulate(&run, RecordingLevel::Trace).trace;
             let motion = trace.and_then(|trace| Some((trace.time_s, trace.vehicles.into_iter().next()?.speed_mps)));
             let (time_s, speed_mps) = motion.unwrap_or_default();
+            if let LeadProfile::Recorded(recorded) = profile
+                && let Some(entries) = recorded_entries(recorded, &time_s, &speed_mps)
+            {
+                return Ok(ScriptedAction::Profile(entries));
+            }
             let kept = simplify_polyline(&time_s, &speed_mps, PROFILE_TOLERANCE_MPS, |_| None);
             let mut before_s = 0.0;
             let entries = kept.into_iter().filter_map(|sample| {
@@ -76,6 +86,20 @@ fn scripted_action(
             Ok(ScriptedAction::Profile(entries.collect()))
         }
     }
+}
+
+/// Returns the entries of recorded speeds as they are, if the vehicle follows them: an imported profile is exported
+/// unchanged.
+fn recorded_entries(recorded: &RecordedSpeeds, time_s: &[f64], speed_mps: &[f64]) -> Option<Vec<(f64, f64)>> {
+    let off_mps = |(time_s, mps): (&f64, &f64)| (recorded.speed_at_mps(*time_s) - mps).abs();
+    let follows = time_s.iter().zip(speed_mps).map(off_mps).all(|off_mps| off_mps <= 2.0 * PROFILE_TOLERANCE_MPS);
+    let (first_s, last_s) = (recorded.time_s.first()?, recorded.time_s.last()?);
+    if !follows || *first_s != 0.0 || *last_s > *time_s.last()? {
+        return None;
+    }
+    let before_s = std::iter::once(&0.0).chain(&recorded.time_s);
+    let after_s = recorded.time_s.iter().zip(before_s).map(|(now_s, before_s)| now_s - before_s);
+    Some(after_s.zip(recorded.speed_mps.iter().copied()).collect())
 }
 
 /// Returns the scripted vehicle alone on the same road, without noise.

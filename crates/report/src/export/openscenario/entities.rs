@@ -3,6 +3,7 @@
 use std::io;
 
 use super::{Xml, attribute_text, entity_name, format_number, write_element, write_empty_element};
+use crumple_world::openscenario::DELAY_PROPERTIES;
 use crumple_world::scenario::{Driver, Scenario, VehicleClass, VehicleSpec};
 
 /// Distance of each axle from the bumper on its side, as a share of the length.
@@ -35,7 +36,7 @@ pub(super) fn write_entities(xml: &mut Xml, scenario: &Scenario, with_controller
                 match controller_name(vehicle) {
                     Some(name) if with_controllers => {
                         write_element(xml, "ObjectController/Controller", &[("name", &attribute_text(name))], |xml| {
-                            write_empty_element(xml, "Properties", &[])
+                            write_element(xml, "Properties", &[], |xml| write_settings(xml, vehicle))
                         })
                     }
                     _ => Ok(()),
@@ -56,7 +57,8 @@ fn write_vehicle(xml: &mut Xml, vehicle: &VehicleSpec) -> io::Result<()> {
     let named = [("name", vehicle.class.name()), ("vehicleCategory", category), ("mass", &mass)];
     write_element(xml, "Vehicle", &named, |xml| {
         write_element(xml, "BoundingBox", &[], |xml| {
-            let middle = format_number(length_m * (0.5 - REAR_OVERHANG_SHARE));
+            // All digits: the position of the front bumper follows from it.
+            let middle = (length_m * (0.5 - REAR_OVERHANG_SHARE)).to_string();
             write_empty_element(xml, "Center", &[("x", &middle), ("y", "0"), ("z", &half_height)])?;
             write_empty_element(xml, "Dimensions", &[("width", &width), ("length", &length), ("height", &height)])
         })?;
@@ -70,8 +72,23 @@ fn write_vehicle(xml: &mut Xml, vehicle: &VehicleSpec) -> io::Result<()> {
             axle(xml, "FrontAxle", "0.5", &wheelbase)?;
             axle(xml, "RearAxle", "0", "0")
         })?;
-        let driver = attribute_text(vehicle.driver.name());
-        write_empty_element(xml, "Properties/Property", &[("name", "driver"), ("value", &driver)])
+        write_element(xml, "Properties", &[], |xml| {
+            let driver = controller_name(vehicle).map_or_else(|| "script".to_owned(), attribute_text);
+            write_empty_element(xml, "Property", &[("name", "driver"), ("value", &driver)])?;
+            let delays_s = [vehicle.reaction_delay_s, vehicle.actuator_lag_s, vehicle.actuator_delay_s];
+            for (name, delay_s) in DELAY_PROPERTIES.iter().zip(delays_s).filter(|(_, delay_s)| *delay_s > 0.0) {
+                write_empty_element(xml, "Property", &[("name", name), ("value", &delay_s.to_string())])?;
+            }
+            Ok(())
+        })
+    })
+}
+
+/// Writes the settings of a built-in controller that drives a vehicle.
+fn write_settings(xml: &mut Xml, vehicle: &VehicleSpec) -> io::Result<()> {
+    let Driver::Controller(controller) = &vehicle.driver else { return Ok(()) };
+    controller.values().try_for_each(|(field, value)| {
+        write_empty_element(xml, "Property", &[("name", field.name), ("value", &value.to_string())])
     })
 }
 

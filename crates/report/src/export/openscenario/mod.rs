@@ -18,6 +18,7 @@ use std::io;
 use quick_xml::Writer;
 use quick_xml::events::{BytesDecl, BytesEnd, BytesStart, Event};
 
+use crumple_world::openscenario::{ABOUT_ACTIONS, DESCRIPTION_ABOUT, DESCRIPTION_START};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::Trace;
 
@@ -114,17 +115,37 @@ pub fn export_trajectories(
 /// scenario has.
 pub fn export_actions(scenario: &Scenario, road: &str) -> Result<OpenScenario, OpenScenarioError> {
     check_single_lane(scenario)?;
+    let scenario = &round_as_written(scenario);
     let moves = actions::scripted_vehicles(scenario)?;
     let vertices = check_vertex_count(moves.iter().map(|one| one.profile().len()).sum())?;
     let end_s = scenario.spec().duration_s;
     let scripts_mps = moves.iter().flat_map(|one| one.profile()).map(|(_, mps)| *mps).fold(0.0, f64::max);
-    let about = "what the scripted vehicles do; the others are left to controllers";
-    let file = storyboard::OpenScenarioFile { scenario, road, about, end_s, uses_controllers: true };
+    let file = storyboard::OpenScenarioFile { scenario, road, about: ABOUT_ACTIONS, end_s, uses_controllers: true };
     Ok(OpenScenario {
         scenario: write_document(|xml| file.write(xml, &moves))?,
         road: road::road_for_scenario(scenario, scripts_mps)?,
         vertices,
     })
+}
+
+/// Rounds limits and lengths as the file states them, so that what follows from them is the same after an import.
+fn round_as_written(scenario: &Scenario) -> Scenario {
+    let rounded = scenario.edited(|spec| {
+        spec.environment.friction = round(spec.environment.friction);
+        for vehicle in &mut spec.vehicles {
+            vehicle.speed_mps = round(vehicle.speed_mps);
+            vehicle.length_m = Some(round(vehicle.length_m()));
+            vehicle.max_brake_mps2 = Some(round(vehicle.max_brake_mps2()));
+            vehicle.max_accel_mps2 = Some(round(vehicle.max_accel_mps2()));
+        }
+    });
+    // Rounding can make only a scenario at a limit invalid.
+    rounded.unwrap_or_else(|_| scenario.clone())
+}
+
+fn round(value: f64) -> f64 {
+    // Adding zero turns -0 into 0.
+    (value * 1e9).round() / 1e9 + 0.0
 }
 
 fn check_vertex_count(found: usize) -> Result<usize, OpenScenarioError> {
@@ -170,8 +191,7 @@ fn write_inside(xml: &mut Xml, path: &str, write: impl FnOnce(&mut Xml, &str) ->
 
 /// Formats a number with at most nine decimals, more than any position needs.
 fn format_number(value: f64) -> String {
-    // Adding zero turns -0 into 0.
-    ((value * 1e9).round() / 1e9 + 0.0).to_string()
+    round(value).to_string()
 }
 
 /// Returns text as an attribute value: one line of characters that XML allows. A leading dollar sign would start a
@@ -191,6 +211,6 @@ fn reference_point_m(front_m: f64, length_m: f64) -> f64 {
 
 fn describe_scenario(scenario: &Scenario, about: &str) -> String {
     let spec = scenario.spec();
-    let own = if spec.about.is_empty() { String::new() } else { format!(" The scenario: {}", spec.about) };
-    attribute_text(&format!("crumple scenario {}: {about}.{own}", spec.name)).trim_end().to_owned()
+    let own = if spec.about.is_empty() { String::new() } else { format!("{DESCRIPTION_ABOUT}{}", spec.about) };
+    attribute_text(&format!("{DESCRIPTION_START}{}: {about}.{own}", spec.name)).trim_end().to_owned()
 }

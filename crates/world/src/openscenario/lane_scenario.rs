@@ -1,0 +1,280 @@
+//! The scenario on one lane that a replay gives.
+
+use super::ImportedLaneScenario;
+use super::error::ScenarioImportError;
+use super::replay::{EntityMotion, REPLAY_STEP_S, Replay};
+use super::speed_plan::SpeedPlan;
+use super::xml::Node;
+use crate::scenario::{
+    Brake, BrakeToSpeed, Driver, LaneChange, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleSpec,
+};
+
+type Result<T> = std::result::Result<T, ScenarioImportError>;
+
+/// Largest distance between a script and its motion within the limits of the vehicle, in metres.
+const FOLLOW_TOLERANCE_M: f64 = 0.01;
+/// The replay, and what the scenario takes from the rest of the file.
+pub(super) struct LaneScenarioBuilder<'a, 'b> {
+    pub(super) node: Node<'a>,
+    pub(super) replay: Replay<'a, 'b>,
+    pub(super) drivers: Vec<Option<Driver>>,
+    pub(super) friction: f64,
+    pub(super) stop_s: f64,
+    pub(super) stop_depends: bool,
+    pub(super) name: String,
+    pub(super) about: String,
+    pub(super) notes: Vec<String>,
+}
+
+/// A vehicle before it has its place in the list.
+struct LaneVehicle {
+    entity: usize,
+    spec: VehicleSpec,
+    /// Time of entry, in seconds of the replay; negative infinity if the vehicle is in the lane at the start.
+    enters_s: f64,
+}
+
+impl LaneScenarioBuilder<'_, '_> {
+    pub(super) fn build(mut self) -> Result<ImportedLaneScenario> {
+        let start_s = self.start_s();
+        let reference = self.drivers.iter().position(|driver| *driver == Some(Driver::UnderTest)).unwrap_or(0);
+        let lane = self.replay.motion.get(reference).map_or(0, |motion| motion.lane);
+        if start_s > 0.0 {
+            self.notes.push(format!(
+                "starts when the controller is activated, at {start_s} s; until then its vehicle keeps its speed"
+            ));
+        }
+        if self.stop_depends {
+            self.notes.push("the duration is that of a vehicle under test that keeps its speed".to_owned());
+        }
+        let mut vehicles: Vec<LaneVehicle> = Vec::new();
+        let count = self.drivers.len();
+        for entity in 0..count {
+            vehicles.push(self.vehicle(entity, lane, start_s)?);
+        }
+        let mut listed = self.order(vehicles)?;
+        for place in 0..listed.len() {
+            self.check_gap_trigger(&mut listed, place)?;
+        }
+        let steps = ((self.stop_s - start_s) / REPLAY_STEP_S - 1e-6).ceil().max(1.0);
+        let duration_s = (steps * REPLAY_STEP_S * 1e9).round() / 1e9;
+        let vehicles = listed.into_iter().map(|one| one.spec).collect();
+        let mut spec = ScenarioSpec { about: self.about, ..ScenarioSpec::new(self.name, duration_s, vehicles) };
+        spec.environment.friction = self.friction;
+        let path = self.node.element.path.to_path_buf();
+        let scenario = Scenario::new(spec).map_err(|invalid| ScenarioImportError::Invalid { path, invalid })?;
+        Ok(ImportedLaneScenario { scenario, notes: self.notes })
+    }
+
+    /// Returns the time at which the first controller of a vehicle under test is active.
+    fn start_s(&self) -> f64 {
+        let under_test = self.replay.motion.iter().zip(&self.drivers);
+        let active = under_test.filter(|(_, driver)| **driver == Some(Driver::UnderTest));
+        active.map(|(motion, _)| motion.activated_s.unwrap_or(0.0)).reduce(f64::max).unwrap_or(0.0)
+    }
+
+    fn vehicle(&mut self, entity: usize, lane: i32, start_s: f64) -> Result<LaneVehicle> {
+        let (Some(motion), Some(body)) = (self.replay.motion.get(entity), self.replay.entities.get(entity)) else {
+            return Err(self.node.refuse("has no entity"));
+        };
+        if motion.plan.max_speed_mps() > body.max_speed_mps {
+            let problem = format!("the entity `{}` exceeds its maxSpeed of {} m/s", body.name, body.max_speed_mps);
+            return Err(self.node.refuse(problem));
+        }
+        let start = motion.plan.at(start_s);
+        let driver = self.drivers.get(entity).cloned().flatten();
+        if let Some(node) = motion.replaced {
+            let (name, line) = (&body.name, node.element.line);
+            self.notes.push(format!("Event (line {line}): the controller of `{name}` replaces its actions"));
+        }
+        let is_scripted = driver.is_none();
+        let driver = driver.unwrap_or_else(|| Driver::Profile(script(motion, start_s, self.stop_s)));
+        let mut spec = VehicleSpec::new(body.class, start.position_m + body.front_m, start.speed_mps, driver);
+        spec.length_m = Some(body.length_m);
+        spec.mass_kg = body.mass_kg;
+        spec.max_brake_mps2 = body.max_brake_mps2;
+        spec.max_accel_mps2 = body.max_accel_mps2;
+        if is_scripted {
+            if motion.follows_path {
+                let raised = raise_limits(&mut spec, &motion.plan, [start_s, self.stop_s], self.friction);
+                let note = |needed| format!("the trajectory of `{}` needs {needed}: its limits are raised", body.name);
+                self.notes.extend(raised.map(note));
+            }
+            self.check_limits(&spec, &motion.plan, start_s, &body.name)?;
+        } else {
+            spec.jerk_limit_mps3 = body.jerk_limit_mps3;
+            [spec.reaction_delay_s, spec.actuator_lag_s, spec.actuator_delay_s] = body.delays_s;
+        }
+        let mut enters_s = f64::NEG_INFINITY;
+        let initial_lane = motion.lane_changes.first().map_or(motion.lane, |change| change.lanes[0]);
+        let mut is_inside = initial_lane == lane;
+        for change in &motion.lane_changes {
+            let [from, to] = change.lanes;
+            let [enter_s, leave_s] = change.crossings_s;
+            if to == lane {
+                if spec.leaves.is_some() {
+                    return Err(change.node.refuse("a vehicle can enter the lane only once"));
+                }
+                is_inside = true;
+                if enter_s > start_s {
+                    enters_s = enter_s;
+                    let gap = change.depends_on_controller.then_some(LaneChange::Gap(f64::NAN));
+                    spec.enters = Some(gap.unwrap_or(LaneChange::At(enter_s - start_s)));
+                }
+            } else if from == lane {
+                if change.depends_on_controller || leave_s <= start_s {
+                    return Err(change.node.refuse(
+                        "a vehicle can leave the lane only after the start, at a time that depends on no controller",
+                    ));
+                }
+                spec.leaves = Some(LaneChange::At(leave_s - start_s));
+            }
+        }
+        if !is_inside {
+            let problem = format!("the entity `{}` is never in the lane of the vehicle under test", body.name);
+            return Err(self.node.refuse(problem));
+        }
+        Ok(LaneVehicle { entity, spec, enters_s })
+    }
+
+    /// Refuses a script that the vehicle cannot follow.
+    fn check_limits(&self, spec: &VehicleSpec, plan: &SpeedPlan, start_s: f64, name: &str) -> Result<()> {
+        let [brake, accel] = [spec.max_brake_mps2() * self.friction, spec.max_accel_mps2()];
+        let (mut speed_mps, mut position_m) = (spec.speed_mps, plan.at(start_s).position_m);
+        let steps = ((self.stop_s - start_s) / REPLAY_STEP_S).floor() as usize;
+        for step in 1..=steps {
+            let wanted = plan.at(start_s + step as f64 * REPLAY_STEP_S);
+            let wanted_mps2 = (wanted.speed_mps - speed_mps) / REPLAY_STEP_S;
+            let next_mps = (speed_mps + wanted_mps2.clamp(-brake, accel.max(0.0)) * REPLAY_STEP_S).max(0.0);
+            position_m += 0.5 * (speed_mps + next_mps) * REPLAY_STEP_S;
+            speed_mps = next_mps;
+            if (position_m - wanted.position_m).abs() > FOLLOW_TOLERANCE_M {
+                return Err(self.node.refuse(format!(
+                    "at {:.2} s the entity `{name}` needs {wanted_mps2:.1} m/s², outside its limits of -{brake} and \
+                     {accel} m/s²",
+                    wanted.time_s
+                )));
+            }
+        }
+        Ok(())
+    }
+
+    /// Lists the vehicles front to rear; one that enters has its place at that time.
+    fn order(&self, vehicles: Vec<LaneVehicle>) -> Result<Vec<LaneVehicle>> {
+        let (mut listed, mut entering): (Vec<_>, Vec<_>) =
+            vehicles.into_iter().partition(|one| one.enters_s == f64::NEG_INFINITY);
+        listed.sort_by(|a, b| b.spec.position_m.total_cmp(&a.spec.position_m));
+        entering.sort_by(|a, b| a.enters_s.total_cmp(&b.enters_s));
+        for one in entering {
+            let front_m = |one_of: &LaneVehicle| self.front_m(one_of.entity, one.enters_s);
+            let own_m = front_m(&one);
+            let place = listed.iter().position(|other| front_m(other) < own_m).unwrap_or(listed.len());
+            listed.insert(place, one);
+        }
+        Ok(listed)
+    }
+
+    fn front_m(&self, entity: usize, time_s: f64) -> f64 {
+        self.replay.position_m(entity, time_s) + self.replay.bumpers_m(entity)[0]
+    }
+
+    /// Sets the gap to the vehicle behind that triggers an entry, if the entry depends on its controller.
+    fn check_gap_trigger(&mut self, listed: &mut [LaneVehicle], place: usize) -> Result<()> {
+        let Some(one) = listed.get(place) else { return Ok(()) };
+        if !matches!(one.spec.enters, Some(LaneChange::Gap(_))) {
+            return Ok(());
+        }
+        let (entity, at_s, length_m) = (one.entity, one.enters_s, one.spec.length_m());
+        let behind = listed.iter().skip(place + 1).find(|other| other.enters_s < at_s);
+        let behind = behind.filter(|other| matches!(other.spec.driver, Driver::UnderTest | Driver::Controller(_)));
+        let change = self
+            .replay
+            .motion
+            .get(entity)
+            .and_then(|motion| motion.lane_changes.iter().find(|change| change.depends_on_controller));
+        let node = change.map_or(self.node, |change| change.node);
+        let behind = behind
+            .ok_or_else(|| node.refuse("depends on a vehicle with a controller, which must be the next one behind"))?;
+        let gap_m = self.front_m(entity, at_s) - length_m - self.front_m(behind.entity, at_s);
+        if gap_m < 0.01 {
+            return Err(node.refuse(format!("the gap at the lane marking would be {gap_m:.2} m: no room to enter")));
+        }
+        if let Some(one) = listed.get_mut(place) {
+            one.spec.enters = Some(LaneChange::Gap(gap_m));
+        }
+        self.notes.push(format!(
+            "LaneChangeAction (line {}): enters at a gap of {gap_m:.2} m, as if the vehicle under test kept its speed",
+            node.element.line
+        ));
+        Ok(())
+    }
+}
+
+/// Raises the limits of a vehicle to what its trajectory needs, and returns this in words.
+fn raise_limits(
+    spec: &mut VehicleSpec,
+    plan: &SpeedPlan,
+    [start_s, stop_s]: [f64; 2],
+    friction: f64,
+) -> Option<String> {
+    let steps = ((stop_s - start_s) / REPLAY_STEP_S).floor() as usize;
+    let speed_mps = |step: usize| plan.at(start_s + step as f64 * REPLAY_STEP_S).speed_mps;
+    let rates = (0..steps).map(|step| (speed_mps(step + 1) - speed_mps(step)) / REPLAY_STEP_S);
+    let [lowest, highest] = rates.fold([0.0_f64; 2], |[low, high], rate| [low.min(rate), high.max(rate)]);
+    let (brake_mps2, accel_mps2) = (-lowest / friction, highest);
+    if brake_mps2 <= spec.max_brake_mps2() && accel_mps2 <= spec.max_accel_mps2() {
+        return None;
+    }
+    spec.max_brake_mps2 = Some(brake_mps2.max(spec.max_brake_mps2()));
+    spec.max_accel_mps2 = Some(accel_mps2.max(spec.max_accel_mps2()));
+    Some(format!("{lowest:.1} to {highest:.1} m/s²"))
+}
+
+/// Returns the script of a motion from a time on: braking, constant speed, or recorded speeds.
+fn script(motion: &EntityMotion<'_>, start_s: f64, stop_s: f64) -> LeadProfile {
+    let start = motion.plan.at(start_s);
+    let later = motion.plan.knots().iter().filter(|knot| knot.time_s > start_s);
+    let mut knots: Vec<(f64, f64)> = vec![(0.0, start.speed_mps)];
+    for knot in later {
+        let time_s = knot.time_s - start_s;
+        match knots.as_slice() {
+            // Only changes of the slope matter.
+            [.., (_, before_mps), (last_s, last_mps)] if before_mps == last_mps && *last_mps == knot.speed_mps => {
+                let last_s = last_s.max(time_s);
+                knots.pop();
+                knots.push((last_s, knot.speed_mps));
+            }
+            _ => knots.push((time_s, knot.speed_mps)),
+        }
+        if knot.time_s >= stop_s {
+            break;
+        }
+    }
+    let braking = match knots.as_slice() {
+        _ if motion.is_recorded => None,
+        knots if knots.iter().all(|(_, mps)| *mps == start.speed_mps) => return LeadProfile::ConstantSpeed,
+        [(from_s, from_mps), (to_s, to_mps)] if to_mps < from_mps => Some((*from_s, *from_mps, *to_s, *to_mps)),
+        [(_, held_mps), (from_s, from_mps), (to_s, to_mps)] if held_mps == from_mps && to_mps < from_mps => {
+            Some((*from_s, *from_mps, *to_s, *to_mps))
+        }
+        _ => None,
+    };
+    match braking {
+        Some((onset_s, from_mps, to_s, 0.0)) => {
+            LeadProfile::Brake(Brake { onset_s, rate_mps2: rounded(from_mps / (to_s - onset_s)) })
+        }
+        Some((onset_s, from_mps, to_s, final_speed_mps)) => {
+            let rate_mps2 = rounded((from_mps - final_speed_mps) / (to_s - onset_s));
+            LeadProfile::BrakeToSpeed(BrakeToSpeed { onset_s, rate_mps2, final_speed_mps })
+        }
+        None => {
+            let (time_s, speed_mps) = knots.into_iter().unzip();
+            LeadProfile::Recorded(RecordedSpeeds { time_s, speed_mps })
+        }
+    }
+}
+
+/// Removes the rounding errors of a quotient.
+fn rounded(value: f64) -> f64 {
+    (value * 1e10).round() / 1e10
+}

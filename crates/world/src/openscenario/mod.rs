@@ -1,0 +1,149 @@
+//! Import of ASAM OpenSCENARIO XML 1.0 to 1.3: entities that drive in the middle of lanes of a straight road.
+//!
+//! 1. [`xml`](self) elements with lines are read with the values of the parameters;
+//! 2. the storyboard becomes events with triggers and actions;
+//! 3. a replay gives each scripted entity its speeds over time and its lane changes;
+//! 4. the vehicles that are ever in the lane of the vehicle under test become a [`Scenario`].
+//!
+//! Content that a scenario cannot represent is an error that names the element, its line and the reason.
+
+mod distribution;
+mod entities;
+mod error;
+mod initial;
+mod lane_scenario;
+mod parameters;
+mod path_actions;
+mod replay;
+mod replay_state;
+mod road;
+mod source;
+mod space;
+mod speed_plan;
+mod storyboard;
+#[cfg(test)]
+mod tests;
+mod trigger;
+mod xml;
+
+use std::path::{Path, PathBuf};
+use std::rc::Rc;
+
+pub use distribution::{MAX_VARIATIONS, ParameterDistributionFile, Variation};
+pub use entities::{DELAY_PROPERTIES, UNDER_TEST_CONTROLLER};
+pub use error::ScenarioImportError;
+pub use xml::MAX_XML_BYTES;
+
+use self::lane_scenario::LaneScenarioBuilder;
+use self::parameters::Parameters;
+use self::replay::Replay;
+use self::road::RoadMap;
+use self::source::{FileCache, SourceFiles};
+use self::xml::{Node, SourceElement};
+use crate::scenario::Scenario;
+
+type Result<T> = std::result::Result<T, ScenarioImportError>;
+
+/// First part of the description in the header of crumple's export.
+pub const DESCRIPTION_START: &str = "crumple scenario ";
+/// Part of the description between the name and the purpose of the scenario, for actions.
+pub const ABOUT_ACTIONS: &str = "what the scripted vehicles do; the others are left to controllers";
+/// Part of the description before the purpose of the scenario.
+pub const DESCRIPTION_ABOUT: &str = " The scenario: ";
+
+/// An OpenSCENARIO file, and the files to which it refers.
+#[derive(Debug)]
+pub struct OpenScenarioSource {
+    path: PathBuf,
+    root: Rc<SourceElement>,
+    files: FileCache,
+}
+
+/// An imported scenario.
+#[derive(Debug)]
+pub struct ImportedLaneScenario {
+    /// Scenario on one lane.
+    pub scenario: Scenario,
+    /// Content without influence on the scenario, and assumptions, each with its line.
+    pub notes: Vec<String>,
+}
+
+impl OpenScenarioSource {
+    /// Reads a file.
+    ///
+    /// # Errors
+    /// [`ScenarioImportError`] for a file that cannot be read, exceeds [`MAX_XML_BYTES`] or is not well-formed.
+    pub fn load(path: &Path) -> Result<Self> {
+        let files = FileCache::new(true);
+        Ok(Self { path: path.to_owned(), root: files.load(path, "OpenSCENARIO")?, files })
+    }
+
+    /// Parses a file with its road, without reading others.
+    ///
+    /// # Errors
+    /// [`ScenarioImportError::Syntax`] for a text that is not well-formed.
+    pub fn from_bytes(scenario: &[u8], road: &[u8]) -> Result<Self> {
+        let (files, path) = (FileCache::new(false), Path::new("f.xosc"));
+        files.insert(Path::new("f.xodr"), SourceElement::parse(road, Path::new("f.xodr"), "OpenDRIVE")?);
+        let root = files.insert(path, SourceElement::parse(scenario, path, "OpenSCENARIO")?);
+        Ok(Self { path: path.to_owned(), root, files })
+    }
+
+    /// Interprets the file as a scenario on one lane. `ego` names the entity under test; without it, that is the only
+    /// entity with an assigned controller. `assigned` replaces values of parameters.
+    ///
+    /// # Errors
+    /// [`ScenarioImportError`] names the file, the line, the element and the reason.
+    pub fn scenario(&self, ego: Option<&str>, assigned: &[(String, String)]) -> Result<ImportedLaneScenario> {
+        let none = Parameters::default();
+        let root = Node { element: &self.root, parameters: &none };
+        let declarations = root.optional("ParameterDeclarations");
+        let parameters = Parameters::declare(declarations, assigned)?;
+        if let Some((name, _)) = assigned.iter().find(|(name, _)| !parameters.contains(name)) {
+            return Err(declarations.unwrap_or(root).refuse(format!("there is no parameter `{name}`")));
+        }
+        let root = Node { parameters: &parameters, ..root };
+        root.only(
+            &["FileHeader", "ParameterDeclarations", "CatalogLocations", "RoadNetwork", "Entities", "Storyboard"],
+            &[],
+        )?;
+        let header = root.child("FileHeader")?;
+        let minor = header.number("revMinor")?;
+        if header.number("revMajor")? != 1.0 || !(0.0..=3.0).contains(&minor) {
+            return Err(header.refuse("only versions 1.0 to 1.3 are supported"));
+        }
+        let folder = self.path.parent().unwrap_or(Path::new(""));
+        let files = SourceFiles::new(&self.files, folder, root.optional("CatalogLocations"))?;
+        let network = root.child("RoadNetwork")?;
+        network.only(&["LogicFile", "SceneGraphFile"], &[])?;
+        let road = files.road(network.child("LogicFile")?)?;
+        let roads = RoadMap::new(&road);
+        let entities = entities::read_entities(root.child("Entities")?, &files)?;
+        let storyboard = root.child("Storyboard")?;
+        storyboard.only(&["Init", "Story", "StopTrigger"], &[])?;
+        let drivers = entities::assign_drivers(root.child("Entities")?, &entities, ego)?;
+        let initial = initial::read_initial(storyboard.child("Init")?, &entities, &roads, &files)?;
+        let (events, mut acts) = storyboard::read_stories(storyboard, &entities)?;
+        let is_controlled: Vec<bool> = drivers.iter().map(Option::is_some).collect();
+        let mut replay = Replay::new(&entities, &initial, &is_controlled, events, &roads)?;
+        let (stop_s, stop_depends) = replay.run(&mut acts, storyboard.optional("StopTrigger"), storyboard)?;
+        let (name, about) = self.name_and_about(header)?;
+        let (node, friction, notes) = (root.child("Entities")?, initial.friction, initial.notes);
+        LaneScenarioBuilder { node, replay, drivers, friction, stop_s, stop_depends, name, about, notes }.build()
+    }
+
+    /// Returns the name and the purpose of the scenario: those of crumple's export, or the file's name and description.
+    fn name_and_about(&self, header: Node<'_>) -> Result<(String, String)> {
+        let description = header.raw("description").unwrap_or_default();
+        let exported = description.strip_prefix(DESCRIPTION_START).and_then(|rest| rest.split_once(": what "));
+        let (name, about) = match exported {
+            Some((name, rest)) => (name.to_owned(), rest.split_once(DESCRIPTION_ABOUT).map_or("", |(_, about)| about)),
+            None => {
+                let stem = self.path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+                (stem, description)
+            }
+        };
+        let name: String = name.chars().filter(|letter| !letter.is_control()).take(200).collect();
+        Ok((if name.is_empty() { "imported".to_owned() } else { name }, about.to_owned()))
+    }
+}

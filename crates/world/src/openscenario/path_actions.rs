@@ -1,0 +1,80 @@
+//! Actions that move along a path: trajectories and lane changes.
+
+use super::error::ScenarioImportError;
+use super::initial::resolve_place;
+use super::replay::{LaneChangeTimes, MAX_DURATION_S, Replay};
+use super::speed_plan::TransitionShape;
+use super::storyboard::{LaneChangeAction, LaneTarget, TrajectoryAction};
+
+type Result<T> = std::result::Result<T, ScenarioImportError>;
+
+/// Largest distance of the first vertex of a trajectory from the entity, in metres.
+const START_TOLERANCE_M: f64 = 0.01;
+
+impl<'a> Replay<'a, '_> {
+    /// Returns times and positions of the vertices until the entity would leave its lane, which is an error.
+    pub(super) fn trajectory_vertices(
+        &self,
+        action: &TrajectoryAction<'a>,
+        actor: usize,
+        start_s: f64,
+    ) -> Result<Vec<(f64, f64)>> {
+        let Some(motion) = self.motion.get(actor) else { return Ok(Vec::new()) };
+        let shift_s = if action.is_relative { start_s } else { 0.0 };
+        let mut vertices = Vec::new();
+        for (time_s, node) in &action.vertices {
+            let place = resolve_place(*node, &[], self.entities, self.roads)?;
+            let place = place.ok_or_else(|| node.refuse("is not supported in a trajectory"))?;
+            if place.road != self.road_id || place.lane != motion.lane {
+                return Err(node.refuse("the trajectory leaves the lane"));
+            }
+            vertices.push((shift_s + time_s, place.along_m));
+        }
+        let Some(&(first_s, first_m)) = vertices.first() else { return Err(action.node.refuse("has no vertices")) };
+        let from_m = motion.plan.at(first_s).position_m;
+        if first_s < start_s - 1e-9 || (first_m - from_m).abs() > START_TOLERANCE_M {
+            return Err(action.node.refuse(format!(
+                "starts at {first_s} s and {first_m} m, but the entity is at {from_m} m, and the action starts at \
+                 {start_s} s"
+            )));
+        }
+        Ok(vertices)
+    }
+
+    pub(super) fn change_lane(
+        &mut self,
+        change: &LaneChangeAction<'a>,
+        actor: usize,
+        start_s: f64,
+        depends: bool,
+    ) -> Result<f64> {
+        let road = self.roads.find(change.node, Some(&self.road_id), [0.0; 2])?;
+        let lane_of = |entity: usize| self.motion.get(entity).map_or(0, |motion| motion.lane);
+        let (from, to) = match change.target {
+            LaneTarget::Absolute(lane) => (lane_of(actor), lane),
+            LaneTarget::Relative(entity, by) => (lane_of(actor), road.shifted_lane(lane_of(entity), by)),
+        };
+        let [distance_m, to_width_m] = road.lane_distance_m(change.node, from, to)?;
+        let [_, from_width_m] = road.lane_distance_m(change.node, to, from)?;
+        let half_width_m = self.entities.get(actor).map_or(0.0, |entity| entity.width_m / 2.0);
+        let Some(motion) = self.motion.get_mut(actor) else { return Ok(start_s) };
+        if motion.is_controlled {
+            return Err(change.node.refuse("an entity with a controller must keep its lane"));
+        }
+        let duration_s = change.dynamics.duration_s(distance_m, |m| motion.plan.travel_time_s(start_s, m));
+        if !duration_s.is_finite() || duration_s > MAX_DURATION_S {
+            return Err(change.node.refuse(format!("the lane change takes longer than {MAX_DURATION_S} s")));
+        }
+        let at_s = |moved_m: f64| match distance_m {
+            _ if change.dynamics.shape == TransitionShape::Step || distance_m == 0.0 => start_s,
+            _ => start_s + duration_s * change.dynamics.share_until((moved_m / distance_m).clamp(0.0, 1.0)),
+        };
+        let crossings_s = [at_s(distance_m - to_width_m / 2.0 - half_width_m), at_s(from_width_m / 2.0 + half_width_m)];
+        let (node, lanes) = (change.node, [from, to]);
+        if from != to {
+            motion.lane_changes.push(LaneChangeTimes { node, lanes, crossings_s, depends_on_controller: depends });
+        }
+        motion.lane = to;
+        Ok(start_s + duration_s)
+    }
+}

@@ -1,0 +1,258 @@
+//! Replay of the storyboard: motion and lane changes of all entities up to the stop trigger.
+//!
+//! Controlled entities keep their speed. What depends on their motion is marked.
+
+use super::entities::Entity;
+use super::error::ScenarioImportError;
+use super::initial::InitialState;
+use super::road::RoadMap;
+use super::speed_plan::SpeedPlan;
+use super::storyboard::{StoryAction, StoryEvent};
+use super::trigger::Trigger;
+use super::xml::Node;
+
+type Result<T> = std::result::Result<T, ScenarioImportError>;
+
+/// Step of the replay, in seconds: that of a scenario by default.
+pub(super) const REPLAY_STEP_S: f64 = crate::scenario::PAPER_STEP_S;
+/// Maximum duration, in seconds.
+pub(super) const MAX_DURATION_S: f64 = 3600.0;
+
+/// Maximum number of steps times conditions times events.
+const MAX_REPLAY_WORK: usize = 200_000_000;
+
+/// Motion of one entity.
+pub(super) struct EntityMotion<'a> {
+    pub(super) plan: SpeedPlan,
+    /// True if a speed profile or a trajectory made the plan.
+    pub(super) is_recorded: bool,
+    /// True if a trajectory made the plan.
+    pub(super) follows_path: bool,
+    pub(super) lane: i32,
+    pub(super) lane_changes: Vec<LaneChangeTimes<'a>>,
+    pub(super) activated_s: Option<f64>,
+    pub(super) is_controlled: bool,
+    /// First action of a controlled entity that its controller replaces.
+    pub(super) replaced: Option<Node<'a>>,
+}
+
+/// A lane change.
+pub(super) struct LaneChangeTimes<'a> {
+    pub(super) node: Node<'a>,
+    pub(super) lanes: [i32; 2],
+    /// Time at which the body first overlaps the new lane, and at which it has left the old one.
+    pub(super) crossings_s: [f64; 2],
+    pub(super) depends_on_controller: bool,
+}
+
+#[derive(Default, Clone, Copy)]
+pub(super) struct EventTimes {
+    pub(super) start_s: Option<f64>,
+    pub(super) end_s: Option<f64>,
+    pub(super) depends: bool,
+}
+
+pub(super) struct Replay<'a, 'b> {
+    pub(super) entities: &'b [Entity],
+    pub(super) motion: Vec<EntityMotion<'a>>,
+    pub(super) events: Vec<StoryEvent<'a>>,
+    pub(super) times: Vec<EventTimes>,
+    /// Ends of the actions of each event, in their order.
+    pub(super) action_ends_s: Vec<Vec<f64>>,
+    pub(super) roads: &'b RoadMap<'b>,
+    pub(super) road_id: String,
+    now_s: f64,
+}
+
+impl<'a, 'b> Replay<'a, 'b> {
+    pub(super) fn new(
+        entities: &'b [Entity],
+        initial: &InitialState<'a>,
+        is_controlled: &[bool],
+        events: Vec<StoryEvent<'a>>,
+        roads: &'b RoadMap<'b>,
+    ) -> Result<Self> {
+        let motion = initial.places.iter().zip(&initial.speeds_mps).zip(is_controlled).zip(&initial.is_active);
+        let motion = motion.map(|(((place, speed_mps), &is_controlled), &is_active)| EntityMotion {
+            plan: SpeedPlan::constant(place.along_m, speed_mps.unwrap_or(0.0)),
+            is_recorded: false,
+            follows_path: false,
+            lane: place.lane,
+            lane_changes: Vec::new(),
+            activated_s: is_active.then_some(0.0),
+            is_controlled,
+            replaced: None,
+        });
+        let motion = motion.collect();
+        let (times, action_ends_s) = (vec![EventTimes::default(); events.len()], vec![Vec::new(); events.len()]);
+        let road_id = initial.places.first().map_or_else(String::new, |place| place.road.clone());
+        let mut replay = Self { entities, motion, events, times, action_ends_s, roads, road_id, now_s: 0.0 };
+        for (entity, action) in &initial.transitions {
+            let to_mps =
+                action.target.speed_mps(action.target.reference().map_or(0.0, |other| replay.speed_mps(other, 0.0)));
+            if let Some(motion) = replay.motion.get_mut(*entity) {
+                if motion.is_controlled {
+                    return Err(action.node.refuse("the initial speed of a controlled entity must be a step"));
+                }
+                motion.plan.change_speed(action.node, 0.0, to_mps.max(0.0), action.dynamics)?;
+            }
+        }
+        Ok(replay)
+    }
+
+    /// Replays until the stop trigger fires, and returns this time.
+    pub(super) fn run(
+        &mut self,
+        acts: &mut [Trigger<'a>],
+        stop: Option<Node<'a>>,
+        storyboard: Node<'a>,
+    ) -> Result<(f64, bool)> {
+        let stop = stop.filter(|stop| stop.children().next().is_some());
+        let stop = stop.ok_or_else(|| storyboard.refuse("has no stop trigger, which determines the duration"))?;
+        let mut stop_trigger = Trigger::read(Some(stop), self.entities)?;
+        let conditions =
+            |events: &[StoryEvent<'_>]| events.iter().map(|event| event.trigger.conditions()).sum::<usize>();
+        let work = (conditions(&self.events) + acts.iter().map(Trigger::conditions).sum::<usize>() + 1)
+            * (self.events.len() + 1);
+        let mut act_starts_s = vec![None; acts.len()];
+        let mut before_s = 0.0;
+        for step in 0..=(MAX_DURATION_S / REPLAY_STEP_S) as usize {
+            if step.saturating_mul(work) > MAX_REPLAY_WORK {
+                return Err(storyboard.refuse("has too many events and conditions for its duration"));
+            }
+            self.now_s = step as f64 * REPLAY_STEP_S;
+            for (act, start_s) in acts.iter_mut().zip(&mut act_starts_s).filter(|(_, start_s)| start_s.is_none()) {
+                *start_s = act.fires(self, before_s, self.now_s)?;
+            }
+            self.start_events(&act_starts_s, before_s)?;
+            if let Some(stopped) = stop_trigger.fires(self, before_s, self.now_s)? {
+                return Ok(stopped);
+            }
+            before_s = self.now_s;
+        }
+        Err(stop.refuse(format!("does not fire within {MAX_DURATION_S} s")))
+    }
+
+    /// Starts the events whose triggers fired since `before_s`.
+    fn start_events(&mut self, act_starts_s: &[Option<(f64, bool)>], before_s: f64) -> Result<()> {
+        for index in 0..self.events.len() {
+            let Some(event) = self.events.get(index) else { return Ok(()) };
+            let act = act_starts_s.get(event.act).copied().flatten();
+            let is_waiting = self.times.get(index).is_some_and(|times| times.start_s.is_none());
+            let Some((act_s, act_depends)) = act.filter(|_| is_waiting) else { continue };
+            // The trigger changes while it reads the state, so it is taken out of the state.
+            let nothing = Trigger::read(None, self.entities)?;
+            let Some(event) = self.events.get_mut(index) else { return Ok(()) };
+            let mut trigger = std::mem::replace(&mut event.trigger, nothing);
+            let fired = trigger.fires(self, before_s, self.now_s);
+            if let Some(event) = self.events.get_mut(index) {
+                event.trigger = trigger;
+            }
+            let Some((fired_s, depends)) = fired? else { continue };
+            self.start_event(index, fired_s.max(act_s), depends || act_depends)?;
+        }
+        Ok(())
+    }
+
+    fn start_event(&mut self, index: usize, start_s: f64, depends: bool) -> Result<()> {
+        let mut ends_s = Vec::new();
+        let Some(event) = self.events.get_mut(index) else { return Ok(()) };
+        let (actors, actions, node) = (event.actors.clone(), std::mem::take(&mut event.actions), event.node);
+        for (_, action) in &actions {
+            let mut end_s = start_s;
+            for &actor in &actors {
+                end_s = self.start_action(node, actor, action, start_s, depends)?.max(end_s);
+            }
+            ends_s.push(end_s);
+        }
+        if actions.iter().any(|(_, action)| action.changes_speed()) {
+            self.stop_earlier_actions(&actors, start_s);
+        }
+        let end_s = ends_s.iter().copied().fold(start_s, f64::max);
+        if let (Some(event), Some(times)) = (self.events.get_mut(index), self.times.get_mut(index)) {
+            event.actions = actions;
+            *times = EventTimes { start_s: Some(start_s), end_s: Some(end_s), depends };
+        }
+        if let Some(known) = self.action_ends_s.get_mut(index) {
+            *known = ends_s;
+        }
+        Ok(())
+    }
+
+    /// Ends the running actions that an action on the speed of the same entities replaces.
+    fn stop_earlier_actions(&mut self, actors: &[usize], time_s: f64) {
+        for ((event, ends_s), times) in self.events.iter().zip(&mut self.action_ends_s).zip(&mut self.times) {
+            if event.actors.iter().any(|actor| actors.contains(actor)) && times.end_s.is_some() {
+                for ((_, action), end_s) in event.actions.iter().zip(ends_s.iter_mut()) {
+                    *end_s = if action.changes_speed() { end_s.min(time_s) } else { *end_s };
+                }
+                times.end_s = ends_s.iter().copied().reduce(f64::max).or(times.end_s);
+            }
+        }
+    }
+
+    /// Starts an action of an entity, and returns its end.
+    fn start_action(
+        &mut self,
+        event: Node<'a>,
+        actor: usize,
+        action: &StoryAction<'a>,
+        start_s: f64,
+        depends: bool,
+    ) -> Result<f64> {
+        let reference_mps = match action {
+            StoryAction::Speed(speed) => speed.target.reference().map(|other| (other, self.speed_mps(other, start_s))),
+            _ => None,
+        };
+        let depends_on_reference = reference_mps.is_some_and(|(other, _)| self.is_controlled(other));
+        let vertices = match action {
+            StoryAction::Trajectory(trajectory) if !self.is_controlled(actor) => {
+                self.trajectory_vertices(trajectory, actor, start_s)?
+            }
+            _ => Vec::new(),
+        };
+        if let StoryAction::LaneChange(change) = action {
+            return self.change_lane(change, actor, start_s, depends);
+        }
+        let Some(motion) = self.motion.get_mut(actor) else { return Ok(start_s) };
+        if let StoryAction::Activate = action {
+            motion.activated_s = Some(motion.activated_s.map_or(start_s, |before_s| before_s.min(start_s)));
+            return Ok(start_s);
+        }
+        if motion.is_controlled {
+            motion.replaced = motion.replaced.or(Some(event));
+            return Ok(start_s);
+        }
+        let before = motion.plan.clone();
+        let (node, end_s) = match action {
+            StoryAction::Speed(speed) => {
+                let to_mps = speed.target.speed_mps(reference_mps.map_or(0.0, |(_, mps)| mps));
+                if to_mps < 0.0 {
+                    return Err(speed.node.refuse(format!("the speed would be {to_mps} m/s")));
+                }
+                (speed.node, motion.plan.change_speed(speed.node, start_s, to_mps, speed.dynamics)?)
+            }
+            StoryAction::SpeedProfile(entries) => {
+                motion.is_recorded = true;
+                motion.plan.cut(start_s);
+                let mut time_s = start_s;
+                for &(after_s, mps) in entries {
+                    time_s += after_s;
+                    motion.plan.push(time_s, mps);
+                }
+                (event, time_s)
+            }
+            StoryAction::Trajectory(trajectory) => {
+                (motion.is_recorded, motion.follows_path) = (true, true);
+                motion.plan.follow(&vertices, REPLAY_STEP_S);
+                (trajectory.node, vertices.last().map_or(start_s, |(time_s, _)| *time_s))
+            }
+            StoryAction::LaneChange(_) | StoryAction::Activate => (event, start_s),
+        };
+        let changes_speed = motion.plan.knots().iter().any(|knot| before.at(knot.time_s).speed_mps != knot.speed_mps);
+        if changes_speed && (depends || depends_on_reference) {
+            return Err(node.refuse("depends on an entity with a controller: scripts depend only on the time"));
+        }
+        Ok(end_s)
+    }
+}

@@ -1,0 +1,296 @@
+//! Stories, events and actions of the storyboard.
+
+use super::entities::Entity;
+use super::error::ScenarioImportError;
+use super::speed_plan::TransitionDynamics;
+use super::trigger::Trigger;
+use super::xml::Node;
+
+type Result<T> = std::result::Result<T, ScenarioImportError>;
+
+/// An event, with the triggers that it waits for.
+pub(super) struct StoryEvent<'a> {
+    pub(super) node: Node<'a>,
+    pub(super) name: String,
+    /// Names of the story, act, maneuver group and maneuver around it.
+    pub(super) parents: [String; 4],
+    /// Index of the act in the file.
+    pub(super) act: usize,
+    pub(super) actors: Vec<usize>,
+    pub(super) actions: Vec<(String, StoryAction<'a>)>,
+    pub(super) trigger: Trigger<'a>,
+}
+
+/// An action of an entity.
+pub(super) enum StoryAction<'a> {
+    Speed(SpeedAction<'a>),
+    /// Times after the previous entry, in seconds, and speeds in m/s.
+    SpeedProfile(Vec<(f64, f64)>),
+    LaneChange(LaneChangeAction<'a>),
+    Trajectory(TrajectoryAction<'a>),
+    Activate,
+}
+
+impl StoryAction<'_> {
+    pub(super) fn changes_speed(&self) -> bool {
+        matches!(self, Self::Speed(_) | Self::SpeedProfile(_) | Self::Trajectory(_))
+    }
+}
+
+#[derive(Clone, Copy)]
+pub(super) struct SpeedAction<'a> {
+    pub(super) node: Node<'a>,
+    pub(super) dynamics: TransitionDynamics,
+    pub(super) target: SpeedTarget,
+}
+
+#[derive(Clone, Copy)]
+pub(super) enum SpeedTarget {
+    Absolute(f64),
+    /// Speed of an entity plus a difference, in m/s.
+    Difference(usize, f64),
+    /// Speed of an entity times a factor.
+    Factor(usize, f64),
+}
+
+impl SpeedTarget {
+    pub(super) fn reference(self) -> Option<usize> {
+        match self {
+            Self::Absolute(_) => None,
+            Self::Difference(entity, _) | Self::Factor(entity, _) => Some(entity),
+        }
+    }
+
+    pub(super) fn speed_mps(self, reference_mps: f64) -> f64 {
+        match self {
+            Self::Absolute(mps) => mps,
+            Self::Difference(_, mps) => reference_mps + mps,
+            Self::Factor(_, factor) => reference_mps * factor,
+        }
+    }
+}
+
+pub(super) struct LaneChangeAction<'a> {
+    pub(super) node: Node<'a>,
+    pub(super) dynamics: TransitionDynamics,
+    pub(super) target: LaneTarget,
+}
+
+pub(super) enum LaneTarget {
+    Absolute(i32),
+    /// Number of lanes to the left of an entity.
+    Relative(usize, i32),
+}
+
+pub(super) struct TrajectoryAction<'a> {
+    pub(super) node: Node<'a>,
+    /// Times and positions of the vertices.
+    pub(super) vertices: Vec<(f64, Node<'a>)>,
+    /// True if times count from the start of the action.
+    pub(super) is_relative: bool,
+}
+
+pub(super) fn entity_index(node: Node<'_>, attribute: &str, entities: &[Entity]) -> Result<usize> {
+    let name = node.text(attribute)?;
+    let found = entities.iter().position(|entity| entity.name == name);
+    found.ok_or_else(|| node.refuse(format!("there is no entity `{name}`")))
+}
+
+/// Reads all events, and the start triggers of the acts.
+pub(super) fn read_stories<'a>(
+    storyboard: Node<'a>,
+    entities: &[Entity],
+) -> Result<(Vec<StoryEvent<'a>>, Vec<Trigger<'a>>)> {
+    let (mut events, mut acts) = (Vec::new(), Vec::new());
+    for story in storyboard.named("Story") {
+        story.only(&["Act", "ParameterDeclarations"], &["name"])?;
+        if let Some(declared) = story.named("ParameterDeclarations").find_map(|list| list.children().next()) {
+            return Err(declared.refuse("parameters of a story are not supported"));
+        }
+        for act in story.named("Act") {
+            act.only(&["ManeuverGroup", "StartTrigger", "StopTrigger"], &["name"])?;
+            if let Some(stop) = act.named("StopTrigger").find_map(|stop| stop.children().next()) {
+                return Err(stop.refuse("a stop trigger of an act is not supported"));
+            }
+            acts.push(Trigger::read(act.optional("StartTrigger"), entities)?);
+            for group in act.named("ManeuverGroup") {
+                let names = [story.text("name")?, act.text("name")?, group.text("name")?];
+                read_group(group, names, acts.len() - 1, entities, &mut events)?;
+            }
+        }
+    }
+    Ok((events, acts))
+}
+
+fn read_group<'a>(
+    group: Node<'a>,
+    [story, act, group_name]: [String; 3],
+    act_index: usize,
+    entities: &[Entity],
+    events: &mut Vec<StoryEvent<'a>>,
+) -> Result<()> {
+    group.only(&["Actors", "Maneuver"], &["name", "maximumExecutionCount"])?;
+    group.expect("maximumExecutionCount", &["1"])?;
+    let actors = group.child("Actors")?;
+    actors.only(&["EntityRef"], &["selectTriggeringEntities"])?;
+    if actors.flag("selectTriggeringEntities", false)? {
+        return Err(actors.refuse("triggering entities as actors are not supported"));
+    }
+    let actors =
+        actors.children().map(|actor| entity_index(actor, "entityRef", entities)).collect::<Result<Vec<_>>>()?;
+    for maneuver in group.named("Maneuver") {
+        maneuver.only(&["Event", "ParameterDeclarations"], &["name"])?;
+        for node in maneuver.named("Event") {
+            node.only(&["Action", "StartTrigger"], &["name", "priority", "maximumExecutionCount"])?;
+            node.expect("maximumExecutionCount", &["1"])?;
+            node.expect("priority", &["override", "overwrite", "parallel"])?;
+            let mut actions = Vec::new();
+            for action in node.named("Action") {
+                action.only(&["PrivateAction"], &["name"])?;
+                let inner = action.single()?.single()?;
+                actions.push((action.text("name")?, read_action(inner, entities)?));
+            }
+            let parents = [story.clone(), act.clone(), group_name.clone(), maneuver.text("name")?];
+            let trigger = Trigger::read(node.optional("StartTrigger"), entities)?;
+            let (name, actors) = (node.text("name")?, actors.clone());
+            events.push(StoryEvent { node, name, parents, act: act_index, actors, actions, trigger });
+        }
+    }
+    Ok(())
+}
+
+/// Reads a private action.
+pub(super) fn read_action<'a>(action: Node<'a>, entities: &[Entity]) -> Result<StoryAction<'a>> {
+    match action.name() {
+        "LongitudinalAction" => {
+            let inner = action.single()?;
+            match inner.name() {
+                "SpeedAction" => Ok(StoryAction::Speed(read_speed(inner, entities)?)),
+                "SpeedProfileAction" => read_profile(inner),
+                _ => Err(inner.refuse("is not supported in an event")),
+            }
+        }
+        "LateralAction" => {
+            let inner = action.single()?;
+            if inner.name() != "LaneChangeAction" {
+                return Err(inner.refuse("is lateral: vehicles drive in the middle of a lane"));
+            }
+            read_lane_change(inner, entities)
+        }
+        "RoutingAction" => {
+            let inner = action.single()?;
+            if inner.name() != "FollowTrajectoryAction" {
+                return Err(inner.refuse("is not supported: the road is straight"));
+            }
+            read_trajectory(inner)
+        }
+        "ControllerAction" => {
+            action.only(&["AssignControllerAction", "ActivateControllerAction"], &[])?;
+            let activate = action.optional("ActivateControllerAction");
+            let activate = activate.ok_or_else(|| action.refuse("controllers must be assigned by the entity"))?;
+            read_activation(activate)
+        }
+        "ActivateControllerAction" => read_activation(action),
+        _ => Err(action.refuse("is not supported")),
+    }
+}
+
+fn read_activation<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
+    node.only(&[], &["longitudinal", "lateral", "animation", "lighting", "controllerRef", "objectControllerRef"])?;
+    match node.flag("longitudinal", true)? {
+        true => Ok(StoryAction::Activate),
+        false => Err(node.refuse("a controller must be active in longitudinal direction")),
+    }
+}
+
+pub(super) fn read_speed<'a>(node: Node<'a>, entities: &[Entity]) -> Result<SpeedAction<'a>> {
+    node.only(&["SpeedActionDynamics", "SpeedActionTarget"], &[])?;
+    let dynamics = TransitionDynamics::read(node.child("SpeedActionDynamics")?)?;
+    let target = node.child("SpeedActionTarget")?.single()?;
+    let target = match target.name() {
+        "AbsoluteTargetSpeed" => {
+            target.only(&[], &["value"])?;
+            SpeedTarget::Absolute(target.non_negative("value")?)
+        }
+        "RelativeTargetSpeed" => {
+            target.only(&[], &["entityRef", "value", "speedTargetValueType", "continuous"])?;
+            if target.flag("continuous", false)? {
+                return Err(target.refuse("a continuous target is not supported"));
+            }
+            let (entity, value) = (entity_index(target, "entityRef", entities)?, target.number("value")?);
+            match target.text("speedTargetValueType")?.as_str() {
+                "delta" => SpeedTarget::Difference(entity, value),
+                "factor" => SpeedTarget::Factor(entity, value),
+                other => return Err(target.refuse(format!("`{other}` is not supported"))),
+            }
+        }
+        _ => return Err(target.refuse("is not supported as a target speed")),
+    };
+    Ok(SpeedAction { node, dynamics, target })
+}
+
+fn read_profile<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
+    node.only(&["SpeedProfileEntry"], &["followingMode"])?;
+    node.expect("followingMode", &["position"])?;
+    let read = |entry: Node<'a>| {
+        entry.only(&[], &["time", "speed"])?;
+        Ok((entry.non_negative("time")?, entry.non_negative("speed")?))
+    };
+    Ok(StoryAction::SpeedProfile(node.children().map(read).collect::<Result<Vec<_>>>()?))
+}
+
+fn read_lane_change<'a>(node: Node<'a>, entities: &[Entity]) -> Result<StoryAction<'a>> {
+    node.only(&["LaneChangeActionDynamics", "LaneChangeTarget"], &["targetLaneOffset"])?;
+    if node.optional_number("targetLaneOffset")?.is_some_and(|offset_m| offset_m != 0.0) {
+        return Err(node.refuse("targetLaneOffset is lateral: vehicles drive in the middle of a lane"));
+    }
+    let dynamics = TransitionDynamics::read(node.child("LaneChangeActionDynamics")?)?;
+    let target = node.child("LaneChangeTarget")?.single()?;
+    let lane = lane_number(target, "value")?;
+    let target = match target.name() {
+        "AbsoluteTargetLane" => LaneTarget::Absolute(lane),
+        "RelativeTargetLane" => LaneTarget::Relative(entity_index(target, "entityRef", entities)?, lane),
+        _ => return Err(target.refuse("is not supported as a target lane")),
+    };
+    Ok(StoryAction::LaneChange(LaneChangeAction { node, dynamics, target }))
+}
+
+/// Returns the whole number of an attribute.
+pub(super) fn lane_number(node: Node<'_>, name: &str) -> Result<i32> {
+    match node.number(name)? {
+        number if number.fract() == 0.0 && number.abs() <= 1000.0 => Ok(number as i32),
+        number => Err(node.refuse(format!("attribute `{name}`: {number} is not the number of a lane"))),
+    }
+}
+
+fn read_trajectory<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
+    node.only(&["Trajectory", "TrajectoryRef", "TimeReference", "TrajectoryFollowingMode"], &[])?;
+    let holder = node.optional("TrajectoryRef").unwrap_or(node);
+    let trajectory = holder.child("Trajectory")?;
+    trajectory.only(&["ParameterDeclarations", "Shape"], &["name", "closed"])?;
+    if trajectory.flag("closed", false)? {
+        return Err(trajectory.refuse("a closed trajectory is not supported"));
+    }
+    let shape = trajectory.child("Shape")?.single()?;
+    if shape.name() != "Polyline" {
+        return Err(shape.refuse("is not supported as a shape, only Polyline"));
+    }
+    let timing = node.child("TimeReference")?.single()?;
+    if timing.name() != "Timing" {
+        return Err(timing.refuse("a trajectory must have times"));
+    }
+    timing.only(&[], &["domainAbsoluteRelative", "scale", "offset"])?;
+    timing.expect("domainAbsoluteRelative", &["absolute", "relative"])?;
+    let is_relative = timing.text("domainAbsoluteRelative")? == "relative";
+    let (scale, offset_s) = (timing.number("scale")?, timing.number("offset")?);
+    let mut vertices: Vec<(f64, Node<'a>)> = Vec::new();
+    for vertex in shape.children() {
+        vertex.only(&["Position"], &["time"])?;
+        let time_s = vertex.number("time")? * scale + offset_s;
+        if vertices.last().is_some_and(|(before_s, _)| *before_s >= time_s) {
+            return Err(vertex.refuse("times of vertices must increase"));
+        }
+        vertices.push((time_s, vertex.child("Position")?.single()?));
+    }
+    Ok(StoryAction::Trajectory(TrajectoryAction { node, vertices, is_relative }))
+}

@@ -1,0 +1,239 @@
+use super::{OpenScenarioSource, ParameterDistributionFile};
+use crate::control::ControllerSpec;
+use crate::observation::EstimatorKind;
+use crate::scenario::{Driver, LaneChange, LeadProfile, Scenario};
+use crate::sim::{RecordingLevel, Run, RunOptions, simulate};
+
+/// A road of two lanes of 3.5 m to the right of the reference line, which starts at x = 10 m.
+const ROAD: &str = r#"<OpenDRIVE><road id="7" length="5000" junction="-1">
+<planView><geometry s="0" x="10" y="0" hdg="0" length="5000"><line/></geometry></planView>
+<lanes><laneSection s="0"><center><lane id="0"/></center><right>
+<lane id="-1" type="driving"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane>
+<lane id="-2" type="driving"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane>
+</right></laneSection></lanes></road></OpenDRIVE>"#;
+
+const TIME: &str = r#"<ByValueCondition>
+<SimulationTimeCondition value="2" rule="greaterOrEqual"/></ByValueCondition>"#;
+
+/// Returns a file with a vehicle `other` that does an action when a condition is true, and the vehicle `ego` behind it.
+fn file(place: &str, action: &str, condition: &str) -> String {
+    let vehicle = |name: &str, controller: &str| {
+        format!(
+            r#"<ScenarioObject name="{name}"><Vehicle name="car" vehicleCategory="car"><BoundingBox>
+<Center x="1.5" y="0" z="0.7"/><Dimensions width="1.5" length="5" height="1.5"/></BoundingBox>
+<Performance maxSpeed="70" maxAcceleration="5" maxDeceleration="8"/><Axles/></Vehicle>{controller}</ScenarioObject>"#
+        )
+    };
+    let controller = r#"<ObjectController><Controller name="mine"><Properties/></Controller></ObjectController>"#;
+    let private = |name: &str, position: &str, speed: &str| {
+        format!(
+            r#"<Private entityRef="{name}"><PrivateAction><TeleportAction><Position>{position}</Position>
+</TeleportAction>
+</PrivateAction><PrivateAction><LongitudinalAction><SpeedAction>
+<SpeedActionDynamics dynamicsShape="step"
+dynamicsDimension="time" value="0"/><SpeedActionTarget>{speed}</SpeedActionTarget></SpeedAction>
+</LongitudinalAction>
+</PrivateAction></Private>"#
+        )
+    };
+    format!(
+        r#"<OpenSCENARIO>
+<FileHeader revMajor="1" revMinor="2" date="2024-01-01T00:00:00" author="a" description="Two cars"/>
+<ParameterDeclarations><ParameterDeclaration name="speed" parameterType="double" value="72">
+<ConstraintGroup>
+<ValueConstraint rule="greaterThan" value="0"/><ValueConstraint rule="lessOrEqual" value="${{2 * 54}}"/>
+</ConstraintGroup>
+</ParameterDeclaration><ParameterDeclaration name="rate" parameterType="double" value="4"/></ParameterDeclarations>
+<CatalogLocations/><RoadNetwork><LogicFile filepath="f.xodr"/></RoadNetwork>
+<Entities>{}{}</Entities><Storyboard><Init><Actions>{}{}</Actions></Init><Story name="s"><Act name="a">
+<ManeuverGroup name="g" maximumExecutionCount="1"><Actors selectTriggeringEntities="false">
+<EntityRef entityRef="other"/></Actors><Maneuver name="m"><Event name="e" priority="override"><Action name="act">
+<PrivateAction>{action}</PrivateAction>
+</Action><StartTrigger><ConditionGroup><Condition name="c" delay="0.5" conditionEdge="rising">{condition}</Condition>
+</ConditionGroup></StartTrigger></Event></Maneuver></ManeuverGroup></Act></Story>
+<StopTrigger><ConditionGroup><Condition name="end" delay="1" conditionEdge="rising"><ByValueCondition>
+<StoryboardElementStateCondition storyboardElementType="action" storyboardElementRef="act" state="completeState"/>
+</ByValueCondition></Condition></ConditionGroup></StopTrigger></Storyboard></OpenSCENARIO>"#,
+        vehicle("ego", controller),
+        vehicle("other", ""),
+        private(
+            "ego",
+            r#"<WorldPosition x="110" y="-1.75"/>"#,
+            r#"<AbsoluteTargetSpeed value="${round($speed) / 3.6}"/>"#
+        ),
+        private(
+            "other",
+            place,
+            r#"<RelativeTargetSpeed entityRef="ego" value="0" speedTargetValueType="delta" continuous="false"/>"#
+        ),
+    )
+}
+
+fn same_lane() -> &'static str {
+    r#"<LanePosition roadId="7" laneId="-1" offset="0" s="140"/>"#
+}
+
+fn speed_action(shape: &str, dimension: &str, value: &str, target_mps: f64) -> String {
+    format!(
+        r#"<LongitudinalAction><SpeedAction>
+<SpeedActionDynamics dynamicsShape="{shape}" dynamicsDimension="{dimension}"
+value="{value}"/><SpeedActionTarget><AbsoluteTargetSpeed value="{target_mps}"/></SpeedActionTarget></SpeedAction>
+</LongitudinalAction>"#
+    )
+}
+
+fn lane_change(target: &str) -> String {
+    format!(
+        r#"<LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape="linear" dynamicsDimension="time"
+value="3.5"/><LaneChangeTarget><AbsoluteTargetLane value="{target}"/></LaneChangeTarget></LaneChangeAction>
+</LateralAction>"#
+    )
+}
+
+fn import(text: &str) -> Result<Scenario, String> {
+    let source = OpenScenarioSource::from_bytes(text.as_bytes(), ROAD.as_bytes()).map_err(|error| error.to_string())?;
+    source.scenario(None, &[]).map(|imported| imported.scenario).map_err(|error| error.to_string())
+}
+
+/// Returns the first and the last speed of the leader, and its largest braking and acceleration, in a simulation.
+fn drive(scenario: &Scenario) -> [f64; 4] {
+    let options =
+        RunOptions::new(ControllerSpec::from_name("match-leader").unwrap()).with_estimator(EstimatorKind::Truth);
+    let trace = simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Trace).trace.unwrap();
+    let speeds = &trace.vehicles[0].speed_mps;
+    let rates = || speeds.windows(2).map(|pair| (pair[1] - pair[0]) / 0.01);
+    [speeds[0], *speeds.last().unwrap(), rates().fold(0.0, f64::min), rates().fold(0.0, f64::max)]
+}
+
+#[test]
+fn speed_actions_of_all_shapes_become_scripts() {
+    let scenario = import(&file(same_lane(), &speed_action("linear", "rate", "$rate", 10.0), TIME)).unwrap();
+    let [other, ego] = scenario.vehicles() else { panic!("{scenario:?}") };
+    // The reference point is the rear axle, 1.5 m behind the middle.
+    assert_eq!((other.position_m, ego.position_m, other.speed_mps), (154.0, 114.0, 20.0));
+    assert_eq!((other.length_m, other.max_brake_mps2, &ego.driver), (Some(5.0), Some(8.0), &Driver::UnderTest));
+    let Driver::Profile(LeadProfile::BrakeToSpeed(brake)) = &other.driver else { panic!("{other:?}") };
+    assert_eq!((brake.onset_s, brake.rate_mps2, brake.final_speed_mps), (2.5, 4.0, 10.0));
+    assert_eq!(scenario.spec().duration_s, 2.5 + 2.5 + 1.0);
+    for (shape, dimension, value, hardest_mps2) in
+        [("cubic", "time", "5", 3.0), ("sinusoidal", "rate", "3", 3.0), ("linear", "distance", "75", 2.0)]
+    {
+        let scenario = import(&file(same_lane(), &speed_action(shape, dimension, value, 10.0), TIME)).unwrap();
+        let [from_mps, to_mps, lowest_mps2, highest_mps2] = drive(&scenario);
+        assert_eq!((from_mps, highest_mps2), (20.0, 0.0), "{shape}");
+        assert!((to_mps - 10.0).abs() < 1e-9 && (lowest_mps2 + hardest_mps2).abs() < 0.01, "{shape}: {lowest_mps2}");
+    }
+    let refused = import(&file(same_lane(), &speed_action("step", "time", "0", 10.0), TIME)).unwrap_err();
+    assert!(refused.contains("outside its limits of -8"), "{refused}");
+}
+
+#[test]
+fn lane_changes_cross_the_marking_with_the_side_of_the_body() {
+    // The vehicle of 1.5 m leaves 1 m on each side, and changes 3.5 m in 3.5 s.
+    let beside = same_lane().replace("\"-1\"", "\"-2\"");
+    let scenario = import(&file(&beside, &lane_change("-1"), TIME)).unwrap();
+    let Some(LaneChange::At(enters_s)) = scenario.vehicles()[0].enters else { panic!("{scenario:?}") };
+    assert!((enters_s - 3.5).abs() < 1e-9, "{enters_s}");
+    let scenario = import(&file(same_lane(), &lane_change("-2"), TIME)).unwrap();
+    let Some(LaneChange::At(leaves_s)) = scenario.vehicles()[0].leaves else { panic!("{scenario:?}") };
+    assert!((leaves_s - 5.0).abs() < 1e-9, "{leaves_s}");
+    let near = r#"<ByEntityCondition><TriggeringEntities triggeringEntitiesRule="any"><EntityRef entityRef="other"/>
+</TriggeringEntities><EntityCondition><TimeHeadwayCondition entityRef="ego" value="2" freespace="true"
+coordinateSystem="lane" relativeDistanceType="longitudinal" rule="greaterThan"/></EntityCondition>
+</ByEntityCondition>"#;
+    let faster = |text: &str| text.replace(r#"entityRef="ego" value="0""#, r#"entityRef="ego" value="5""#);
+    let scenario = import(&faster(&file(&beside, &lane_change("-1"), near))).unwrap();
+    let Some(LaneChange::Gap(gap_m)) = scenario.vehicles()[0].enters else { panic!("{scenario:?}") };
+    // Fifty metres at the trigger, then half a second of delay and one second to the marking.
+    assert!((gap_m - 57.5).abs() < 1e-6, "{gap_m}");
+}
+
+#[test]
+fn content_that_one_lane_cannot_represent_is_refused_by_name() {
+    let good = file(same_lane(), &speed_action("linear", "rate", "$rate", 10.0), TIME);
+    for (old, new, expected) in [
+        ("offset=\"0\"", "offset=\"0.5\"", "LanePosition: offset = 0.5 is lateral"),
+        ("SimulationTimeCondition", "TimeOfDayCondition", "TimeOfDayCondition: is not supported"),
+        ("revMajor=\"1\"", "revMajor=\"2\"", "FileHeader: only versions 1.0 to 1.3"),
+        ("entityRef=\"other\"", "entityRef=\"nobody\"", "there is no entity `nobody`"),
+        ("override", "skip", "Event: `priority` = `skip` is not supported"),
+        ("LongitudinalAction>", "AppearanceAction>", "AppearanceAction: is not supported"),
+        ("s=\"140\"", "s=\"9000\"", "LanePosition: 9000 m is outside the road"),
+        ("laneId=\"-1\"", "laneId=\"-2\"", "the entity `other` is never in the lane of the vehicle under test"),
+        ("y=\"-1.75\"", "y=\"-1\"", "WorldPosition: is 0.75 m beside the middle of lane -1"),
+        ("name=\"mine\"", "name=\"mine\" sort=\"x\"", "Controller: the attribute `sort` is not supported"),
+        ("value=\"$rate\"", "value=\"$missing\"", "there is no parameter `missing`"),
+        ("${round($speed)", "${random($speed)", "`random` with 1 values is not supported in an expression"),
+        ("value=\"72\"", "value=\"200\"", "`speed` = `200` violates its constraints"),
+        ("storyboardElementRef=\"act\"", "storyboardElementRef=\"x\"", "there is no action `x`"),
+        ("<StopTrigger>", "<StopTrigger/><StopTrigger>", "Storyboard: has no stop trigger"),
+        ("s=\"140\"", "s=\"101\"", "the scenario is outside the ranges of crumple: vehicles[1].position_m"),
+    ] {
+        let damaged = good.replace(old, new);
+        assert_ne!(damaged, good, "{old}");
+        let error = import(&damaged).expect_err(new);
+        assert!(error.starts_with("f.xosc:") && error.contains(expected) && !error.contains('\n'), "{new}: {error}");
+    }
+    let curved = ROAD.replace("<line/>", "<arc curvature=\"0.001\"/>");
+    let error = OpenScenarioSource::from_bytes(good.as_bytes(), curved.as_bytes()).unwrap().scenario(None, &[]);
+    assert_eq!(error.unwrap_err().to_string(), "f.xodr:2: arc: the road must be straight");
+    let deep = "<a>".repeat(100_000);
+    assert!(import(&deep).unwrap_err().contains("nested deeper than 64"));
+    let parentheses = good.replace("${round($speed)", &format!("${{{}", "(".repeat(100_000)));
+    assert!(import(&parentheses).unwrap_err().contains("nested deeper than 50"));
+}
+
+fn distributions(content: &str) -> Result<ParameterDistributionFile, String> {
+    let text = format!(
+        r#"<OpenSCENARIO><FileHeader revMajor="1" revMinor="2" date="" author="" description=""/>
+<ParameterValueDistribution><ScenarioFile filepath="x/f.xosc"/>{content}</ParameterValueDistribution></OpenSCENARIO>"#
+    );
+    ParameterDistributionFile::from_bytes(text.as_bytes()).map_err(|error| error.to_string())
+}
+
+#[test]
+fn distributions_give_variations_or_a_space() {
+    let text = file(same_lane(), &speed_action("linear", "rate", "$rate", 10.0), TIME);
+    let source = OpenScenarioSource::from_bytes(text.as_bytes(), ROAD.as_bytes()).unwrap();
+    let varied = distributions(
+        r#"<Deterministic><DeterministicSingleParameterDistribution parameterName="rate">
+<DistributionRange stepWidth="0.1">
+<Range lowerLimit="1" upperLimit="2"/></DistributionRange></DeterministicSingleParameterDistribution>
+<DeterministicMultiParameterDistribution><ValueSetDistribution><ParameterValueSet><ParameterAssignment
+parameterRef="speed" value="90"/></ParameterValueSet><ParameterValueSet><ParameterAssignment parameterRef="speed"
+value="300"/></ParameterValueSet></ValueSetDistribution></DeterministicMultiParameterDistribution></Deterministic>"#,
+    );
+    let variations = varied.unwrap().variations().unwrap();
+    assert_eq!(variations.len(), 22);
+    assert_eq!(variations[6], [("rate".to_owned(), "1.3".to_owned()), ("speed".to_owned(), "90".to_owned())]);
+    assert_eq!(variations.iter().filter(|one| source.scenario(None, one).is_ok()).count(), 11, "one speed is too high");
+
+    let stochastic = |name: &str, law: &str| {
+        distributions(&format!(
+            r#"<Stochastic numberOfTestRuns="9"><StochasticDistribution parameterName="{name}">{law}
+</StochasticDistribution>
+</Stochastic>"#
+        ))
+    };
+    let histogram = r#"<Histogram><HistogramBin weight="1"><Range lowerLimit="2" upperLimit="3"/></HistogramBin>
+<HistogramBin weight="3"><Range lowerLimit="4" upperLimit="6"/></HistogramBin></Histogram>"#;
+    for (law, mean_mps2) in [
+        (histogram, 0.25 * 2.5 + 0.75 * 5.0),
+        (r#"<UniformDistribution><Range lowerLimit="2" upperLimit="6"/></UniformDistribution>"#, 4.0),
+        (r#"<NormalDistribution expectedValue="4" variance="0.25"/>"#, 4.0),
+    ] {
+        let (space, _) = source.space(None, &stochastic("rate", law).unwrap()).unwrap();
+        assert_eq!(space.spec().parameters[0].field, "vehicles[0].driver.brake-to-speed.rate_mps2");
+        let rate = |index| match &space.draw(1, index).unwrap().vehicles()[0].driver {
+            Driver::Profile(LeadProfile::BrakeToSpeed(brake)) => brake.rate_mps2,
+            other => panic!("{other:?}"),
+        };
+        let mean = (0..2000).map(rate).sum::<f64>() / 2000.0;
+        assert!((mean - mean_mps2).abs() < 0.1, "{law}: {mean}");
+    }
+    let uniform = r#"<UniformDistribution><Range lowerLimit="50" upperLimit="60"/></UniformDistribution>"#;
+    let refused = source.space(None, &stochastic("speed", uniform).unwrap()).unwrap_err().to_string();
+    assert!(refused.contains("`speed` changes vehicles[0].speed_mps, vehicles[1].speed_mps, not"), "{refused}");
+    let refused = stochastic("rate", r#"<PoissonDistribution expectedValue="4"/>"#).unwrap_err();
+    assert!(refused.ends_with("PoissonDistribution: is not supported in `StochasticDistribution`"), "{refused}");
+}

@@ -1,0 +1,229 @@
+//! Elements of a file, with their lines. Attributes are read with the values of parameters.
+
+use std::path::Path;
+use std::sync::Arc;
+
+use quick_xml::events::{BytesStart, Event};
+use quick_xml::{Reader, XmlVersion};
+
+use super::error::ScenarioImportError;
+use super::parameters::Parameters;
+
+type Result<T> = std::result::Result<T, ScenarioImportError>;
+
+/// Maximum size of a file, in bytes.
+pub const MAX_XML_BYTES: u64 = 256 << 20;
+/// Maximum depth of an element.
+const MAX_DEPTH: usize = 64;
+/// Maximum number of elements and attributes of a file.
+const MAX_ITEMS: usize = 10_000_000;
+
+/// An element of a file.
+#[derive(Debug)]
+pub(super) struct SourceElement {
+    pub(super) name: String,
+    pub(super) line: u32,
+    pub(super) path: Arc<Path>,
+    attributes: Vec<(String, String)>,
+    children: Vec<SourceElement>,
+    has_text: bool,
+}
+
+impl SourceElement {
+    /// Parses a file, and checks the name of its root.
+    pub(super) fn parse(bytes: &[u8], path: &Path, root: &str) -> Result<Self> {
+        let path: Arc<Path> = path.into();
+        let syntax = |line, problem: String| ScenarioImportError::Syntax { path: path.to_path_buf(), line, problem };
+        let text = std::str::from_utf8(bytes).map_err(|error| {
+            let before = bytes.get(..error.valid_up_to()).unwrap_or_default();
+            syntax(1 + count_lines(before), "the text is not UTF-8".to_owned())
+        })?;
+        let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        let mut reader = Reader::from_str(text);
+        let (mut found, mut open, mut items): (Option<Self>, Vec<Self>, usize) = (None, Vec::new(), 0);
+        let (mut line, mut counted) = (1, 0);
+        loop {
+            let start = reader.buffer_position();
+            let event = reader.read_event();
+            let end = if event.is_err() { reader.error_position() } else { start };
+            let end = usize::try_from(end).unwrap_or(usize::MAX).min(text.len());
+            line += count_lines(text.as_bytes().get(counted..end).unwrap_or_default());
+            counted = counted.max(end);
+            let wrong = |problem: &str| syntax(line, problem.to_owned());
+            let done = match event.map_err(|error| wrong(&error.to_string()))? {
+                Event::Start(_) | Event::Empty(_) if open.is_empty() && found.is_some() => {
+                    return Err(wrong("there is a second root element"));
+                }
+                Event::Start(tag) => {
+                    if open.len() >= MAX_DEPTH {
+                        return Err(wrong(&format!("elements are nested deeper than {MAX_DEPTH}")));
+                    }
+                    open.push(Self::from_tag(&tag, line, &path, &mut items).map_err(|problem| wrong(&problem))?);
+                    None
+                }
+                Event::Empty(tag) => {
+                    Some(Self::from_tag(&tag, line, &path, &mut items).map_err(|problem| wrong(&problem))?)
+                }
+                Event::End(_) => open.pop(),
+                Event::DocType(_) => return Err(wrong("there is a document type declaration")),
+                Event::Text(text) if text.iter().all(u8::is_ascii_whitespace) => None,
+                Event::Text(_) | Event::CData(_) | Event::GeneralRef(_) => {
+                    let around = open.last_mut().ok_or_else(|| wrong("there is text outside of the root element"))?;
+                    around.has_text = true;
+                    None
+                }
+                Event::Eof if !open.is_empty() => return Err(wrong("the text ends within an element")),
+                Event::Eof => {
+                    let found = found.ok_or_else(|| wrong("there is no element"))?;
+                    let expected = || syntax(found.line, format!("the root is `{}`, expected `{root}`", found.name));
+                    return if found.name == root { Ok(found) } else { Err(expected()) };
+                }
+                Event::Decl(_) | Event::Comment(_) | Event::PI(_) => None,
+            };
+            match (done, open.last_mut()) {
+                (Some(done), Some(parent)) => parent.children.push(done),
+                (Some(done), None) => found = Some(done),
+                (None, _) => {}
+            }
+        }
+    }
+
+    fn from_tag(
+        tag: &BytesStart<'_>,
+        line: u32,
+        path: &Arc<Path>,
+        items: &mut usize,
+    ) -> std::result::Result<Self, String> {
+        let name = String::from_utf8_lossy(tag.local_name().as_ref()).into_owned();
+        let mut attributes = Vec::new();
+        for attribute in tag.attributes() {
+            let attribute = attribute.map_err(|error| error.to_string())?;
+            let key = String::from_utf8_lossy(attribute.key.as_ref()).into_owned();
+            let value = attribute.normalized_value(XmlVersion::Implicit1_0);
+            let value = value.map_err(|error| format!("attribute `{key}`: {error}"))?.into_owned();
+            if !key.starts_with("xmlns") && !key.starts_with("xsi:") {
+                attributes.push((key, value));
+            }
+        }
+        *items += 1 + attributes.len();
+        if *items > MAX_ITEMS {
+            return Err(format!("there are more than {MAX_ITEMS} elements and attributes"));
+        }
+        Ok(Self { name, line, path: path.clone(), attributes, children: Vec::new(), has_text: false })
+    }
+
+    pub(super) fn refuse(&self, reason: impl Into<String>) -> ScenarioImportError {
+        let (path, element) = (self.path.to_path_buf(), self.name.clone());
+        ScenarioImportError::Refused { path, line: self.line, element, reason: reason.into() }
+    }
+}
+
+fn count_lines(bytes: &[u8]) -> u32 {
+    u32::try_from(bytes.iter().filter(|&&byte| byte == b'\n').count()).unwrap_or(u32::MAX)
+}
+
+/// An element with the values of the parameters that its attributes name.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Node<'a> {
+    pub(super) element: &'a SourceElement,
+    pub(super) parameters: &'a Parameters,
+}
+
+impl<'a> Node<'a> {
+    pub(super) fn name(self) -> &'a str {
+        &self.element.name
+    }
+
+    pub(super) fn refuse(self, reason: impl Into<String>) -> ScenarioImportError {
+        self.element.refuse(reason)
+    }
+
+    pub(super) fn children(self) -> impl Iterator<Item = Node<'a>> {
+        self.element.children.iter().map(move |element| Node { element, ..self })
+    }
+
+    pub(super) fn named(self, name: &str) -> impl Iterator<Item = Node<'a>> {
+        self.children().filter(move |child| child.name() == name)
+    }
+
+    /// Refuses the first child or attribute that is not listed, and text.
+    pub(super) fn only(self, children: &[&str], attributes: &[&str]) -> Result<()> {
+        if let Some(child) = self.children().find(|child| !children.contains(&child.name())) {
+            return Err(child.refuse(format!("is not supported in `{}`", self.name())));
+        }
+        if let Some((name, _)) = self.element.attributes.iter().find(|(name, _)| !attributes.contains(&name.as_str())) {
+            return Err(self.refuse(format!("the attribute `{name}` is not supported")));
+        }
+        if self.element.has_text { Err(self.refuse("text is not supported")) } else { Ok(()) }
+    }
+
+    pub(super) fn optional(self, name: &'a str) -> Option<Node<'a>> {
+        self.named(name).next()
+    }
+
+    pub(super) fn child(self, name: &'a str) -> Result<Node<'a>> {
+        self.optional(name).ok_or_else(|| self.refuse(format!("has no `{name}`")))
+    }
+
+    /// Returns the only child.
+    pub(super) fn single(self) -> Result<Node<'a>> {
+        let mut children = self.children();
+        match (children.next(), children.next()) {
+            (Some(child), None) => Ok(child),
+            (None, _) => Err(self.refuse("is empty")),
+            (_, Some(second)) => Err(second.refuse(format!("is a second element in `{}`", self.name()))),
+        }
+    }
+
+    /// Returns an attribute as written.
+    pub(super) fn raw(self, name: &str) -> Option<&'a str> {
+        self.element.attributes.iter().find(|(other, _)| other == name).map(|(_, value)| value.as_str())
+    }
+
+    pub(super) fn optional_text(self, name: &str) -> Result<Option<String>> {
+        let value = |raw| self.parameters.resolve(raw).map_err(|why| self.refuse(format!("attribute `{name}`: {why}")));
+        self.raw(name).map(value).transpose()
+    }
+
+    pub(super) fn text(self, name: &str) -> Result<String> {
+        self.optional_text(name)?.ok_or_else(|| self.refuse(format!("has no attribute `{name}`")))
+    }
+
+    pub(super) fn optional_number(self, name: &str) -> Result<Option<f64>> {
+        let parse = |text: String| match text.trim().parse::<f64>() {
+            Ok(number) if number.is_finite() => Ok(number),
+            _ => Err(self.refuse(format!("attribute `{name}`: `{text}` is not a finite number"))),
+        };
+        self.optional_text(name)?.map(parse).transpose()
+    }
+
+    pub(super) fn number(self, name: &str) -> Result<f64> {
+        self.optional_number(name)?.ok_or_else(|| self.refuse(format!("has no attribute `{name}`")))
+    }
+
+    pub(super) fn non_negative(self, name: &str) -> Result<f64> {
+        match self.number(name)? {
+            value if value >= 0.0 => Ok(value),
+            value => Err(self.refuse(format!("attribute `{name}`: must not be negative, found {value}"))),
+        }
+    }
+
+    pub(super) fn flag(self, name: &str, default: bool) -> Result<bool> {
+        match self.optional_text(name)?.as_deref() {
+            None => Ok(default),
+            Some("true" | "1") => Ok(true),
+            Some("false" | "0") => Ok(false),
+            Some(other) => Err(self.refuse(format!("attribute `{name}`: `{other}` is not true or false"))),
+        }
+    }
+
+    /// Refuses any value of an attribute but the expected ones; a missing attribute is accepted.
+    pub(super) fn expect(self, name: &str, expected: &[&str]) -> Result<()> {
+        match self.optional_text(name)? {
+            Some(found) if !expected.contains(&found.as_str()) => {
+                Err(self.refuse(format!("`{name}` = `{found}` is not supported, only {}", expected.join(", "))))
+            }
+            _ => Ok(()),
+        }
+    }
+}

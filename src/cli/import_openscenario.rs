@@ -1,0 +1,137 @@
+//! `crumple import F.xosc`: converts an OpenSCENARIO file to a scenario, to its variations or to a space.
+
+use std::path::{Path, PathBuf};
+
+use clap::Args;
+use serde::Serialize;
+
+use super::CliError;
+use super::output_folder::{EarlierFiles, OutputFolder};
+use super::simulate::OutputFormat;
+use super::{export, output};
+use crumple_core::quoting::TerminalText;
+use crumple_world::openscenario::{
+    ImportedLaneScenario, OpenScenarioSource, ParameterDistributionFile, ScenarioImportError, Variation,
+};
+use crumple_world::scenario::{Scenario, file, space};
+
+/// Options of OpenSCENARIO files.
+#[derive(Args)]
+pub(super) struct OpenScenarioArgs {
+    /// Vehicle under test of an OpenSCENARIO file [default: the only entity with a controller]
+    #[arg(long, value_name = "NAME")]
+    ego: Option<String>,
+    /// Values of the parameters of an OpenSCENARIO file: writes a scenario for each combination, or a space
+    #[arg(long, value_name = "D.xosc")]
+    distribution: Option<PathBuf>,
+}
+
+#[derive(Serialize)]
+struct OpenScenarioReport {
+    files: Vec<String>,
+    /// Combinations of values that violate constraints of the file.
+    violating: usize,
+    notes: Vec<String>,
+}
+
+impl From<ScenarioImportError> for CliError {
+    fn from(error: ScenarioImportError) -> Self {
+        match error {
+            ScenarioImportError::Read { path, source } => Self::from_read_error(path, source),
+            other => Self::input(other),
+        }
+    }
+}
+
+/// Returns true if a file is OpenSCENARIO by its extension.
+pub(super) fn is_openscenario(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("xosc"))
+}
+
+impl OpenScenarioArgs {
+    pub(super) fn is_used(&self) -> bool {
+        self.ego.is_some() || self.distribution.is_some()
+    }
+
+    /// Imports a file to a folder.
+    pub(super) fn import(
+        &self,
+        path: &Path,
+        (out, force): (&Path, bool),
+        format: OutputFormat,
+        quiet: bool,
+    ) -> Result<(), CliError> {
+        let source = OpenScenarioSource::load(path)?;
+        let ego = self.ego.as_deref();
+        let (files, violating, notes) = match &self.distribution {
+            None => {
+                let ImportedLaneScenario { scenario, notes } = source.scenario(ego, &[])?;
+                (vec![scenario_file(&scenario)?], 0, notes)
+            }
+            Some(distribution) => {
+                let distributions = ParameterDistributionFile::load(distribution, path)?;
+                if distributions.is_random() {
+                    let (space, notes) = source.space(ego, &distributions)?;
+                    let text = space::file::to_toml(&space).map_err(CliError::input)?;
+                    (vec![(format!("{}-space.toml", export::file_stem(space.name())), text.into_bytes())], 0, notes)
+                } else {
+                    import_variations(&source, ego, &distributions.variations()?)?
+                }
+            }
+        };
+        OutputFolder::without_listing(out, force).write(&files, EarlierFiles::Keep)?;
+        for note in &notes {
+            output::note(&format!("note: {}: {note}", path.display()), quiet);
+        }
+        if violating > 0 {
+            let problem = format!("{violating} combinations of values violate the constraints of the parameters");
+            output::note(&format!("note: {}: {problem}", path.display()), quiet);
+        }
+        let files: Vec<String> = files.iter().map(|(name, _)| out.join(name).display().to_string()).collect();
+        let report = OpenScenarioReport { files, violating, notes };
+        let words = || match report.files.as_slice() {
+            [file] => format!("{}\n", TerminalText(file)),
+            several => format!("{}: {} scenarios\n", TerminalText(&out.display().to_string()), several.len()),
+        };
+        output::print_result(format, &report, words)
+    }
+}
+
+fn scenario_file(scenario: &Scenario) -> Result<(String, Vec<u8>), CliError> {
+    let text = file::to_toml(scenario).map_err(CliError::input)?;
+    Ok((format!("{}.toml", export::file_stem(&scenario.spec().name)), text.into_bytes()))
+}
+
+/// Returns the files of all variations, the number of those that violate constraints, and the notes of the first.
+#[expect(clippy::type_complexity, reason = "used once")]
+fn import_variations(
+    source: &OpenScenarioSource,
+    ego: Option<&str>,
+    variations: &[Variation],
+) -> Result<(Vec<(String, Vec<u8>)>, usize, Vec<String>), CliError> {
+    let (mut files, mut violating, mut notes) = (Vec::new(), 0, Vec::new());
+    for (index, variation) in variations.iter().enumerate() {
+        let values: Vec<_> = variation.iter().map(|(name, value)| format!("{name} = {value}")).collect();
+        let values = values.join(", ");
+        let imported = match source.scenario(ego, variation) {
+            Ok(imported) => imported,
+            Err(ScenarioImportError::Constraint { .. }) => {
+                violating += 1;
+                continue;
+            }
+            Err(error) => return Err(CliError::Input(format!("{error} (with {values})"))),
+        };
+        let named = imported.scenario.edited(|spec| {
+            let stem: String = spec.name.chars().take(190).collect();
+            (spec.name, spec.about) = (format!("{stem}-{:05}", index + 1), values);
+        });
+        files.push(scenario_file(&named.map_err(CliError::input)?)?);
+        if files.len() == 1 {
+            notes = imported.notes;
+        }
+    }
+    if files.is_empty() {
+        return Err(CliError::Input("all combinations of values violate the constraints of the parameters".to_owned()));
+    }
+    Ok((files, violating, notes))
+}

@@ -1,0 +1,98 @@
+//! Import of OpenSCENARIO: round trips of exports, and damaged files.
+
+use std::fs;
+
+use crumple::report::export::openscenario::{OpenScenario, export_actions, export_trajectories};
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::openscenario::OpenScenarioSource;
+use crumple_world::scenario::{Driver, Scenario, built_in_scenario, built_in_scenario_names};
+use crumple_world::sim::{AfterContact, RunOptions, Trace};
+use proptest::prelude::*;
+use tempfile::TempDir;
+
+use crate::generate::{any_scenario, simulate_traced, with_cases};
+
+/// Tolerance: 1 cm, and 1 cm/s.
+const TOLERANCE: f64 = 0.01;
+
+fn import(exported: &OpenScenario) -> Result<Scenario, String> {
+    let folder = TempDir::new().expect("created");
+    let path = folder.path().join("imported.xosc");
+    fs::write(&path, &exported.scenario).expect("written");
+    fs::write(folder.path().join("road.xodr"), &exported.road).expect("written");
+    let imported = OpenScenarioSource::load(&path).and_then(|source| source.scenario(None, &[]));
+    imported.map(|imported| imported.scenario).map_err(|error| error.to_string())
+}
+
+fn drive(scenario: &Scenario) -> Trace {
+    let options = RunOptions::new(ControllerSpec::from_name("baseline").expect("built in"));
+    let options = options.with_estimator(EstimatorKind::Truth).with_after_contact(AfterContact::Stop);
+    simulate_traced(scenario, &options).trace.expect("traced")
+}
+
+/// Compares motions until the first of them ends.
+fn assert_same_motion(trace: &Trace, again: &Trace) {
+    for (index, (track, other)) in trace.vehicles.iter().zip(&again.vehicles).enumerate() {
+        // A collision ends the last step early.
+        let steps = trace.time_s.len().min(again.time_s.len()) - 1;
+        for k in 0..steps {
+            let off_m = (track.position_m[k] - other.position_m[k]).abs();
+            let off_mps = (track.speed_mps[k] - other.speed_mps[k]).abs();
+            let time_s = trace.time_s[k];
+            assert!(
+                off_m <= TOLERANCE && off_mps <= TOLERANCE,
+                "vehicle {index} at {time_s} s: {off_m} m, {off_mps} m/s"
+            );
+        }
+    }
+    assert_eq!(trace.vehicles.len(), again.vehicles.len());
+}
+
+/// Returns the scenario without what OpenSCENARIO cannot represent: noise, other steps and step-long durations.
+fn representable(scenario: &Scenario) -> Option<Scenario> {
+    let edited = scenario.edited(|spec| {
+        spec.duration_s = (spec.duration_s * 100.0).ceil().min(2000.0) / 100.0;
+        spec.step_s = 0.01;
+        spec.vehicles.iter_mut().for_each(|vehicle| vehicle.acceleration_noise_mps2 = 0.0);
+    });
+    edited.ok()
+}
+
+fn assert_actions_survive(scenario: &Scenario) {
+    let exported = export_actions(scenario, "road.xodr").expect("exports");
+    let imported = import(&exported).expect("imports");
+    let again = export_actions(&imported, "road.xodr").expect("exports again");
+    let text = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    assert_eq!(text(&exported.scenario), text(&again.scenario));
+    assert_eq!(text(&exported.road), text(&again.road));
+    assert_same_motion(&drive(scenario), &drive(&imported));
+}
+
+fn assert_trajectories_survive(scenario: &Scenario) {
+    let trace = drive(scenario);
+    let exported = export_trajectories(scenario, &trace, None, "road.xodr").expect("exports");
+    let imported = import(&exported).expect("imports");
+    assert!(imported.vehicles().iter().all(|vehicle| matches!(vehicle.driver, Driver::Profile(_))));
+    assert_same_motion(&trace, &drive(&imported));
+}
+
+#[test]
+fn built_in_scenarios_survive_export_and_import() {
+    for (name, _) in built_in_scenario_names() {
+        let scenario = representable(&built_in_scenario(name).expect("built in")).expect("valid");
+        assert_actions_survive(&scenario);
+        assert_trajectories_survive(&scenario);
+    }
+}
+
+proptest! {
+    #![proptest_config(with_cases(200))]
+
+    #[test]
+    fn random_scenarios_survive_export_and_import(scenario in any_scenario()) {
+        let Some(scenario) = representable(&scenario) else { return Err(TestCaseError::reject("a longer step")) };
+        assert_actions_survive(&scenario);
+        assert_trajectories_survive(&scenario);
+    }
+}
