@@ -59,7 +59,7 @@ fn count(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), Strin
 fn estimate(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), String> {
     let plan = RarePlan {
         controller: ControllerSpec::from_name("match-leader").unwrap().into(),
-        spaces: built_in_space("paper").unwrap().into(),
+        space: built_in_space("paper").unwrap(),
         estimator: EstimatorKind::Truth,
         specification: Specification::NoContact,
         method: RareMethod::Splitting,
