@@ -125,15 +125,13 @@ run simulate counterexamples/high-risk/shield-policy/09-1-hits-0.toml --controll
 run simulate counterexamples/high-risk/shield-policy/10-2-hits-1.toml --controller shield:policy --expect collision
 run simulate counterexamples/high-risk/shield-policy/10-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/road/01-2-hits-1.toml --controller road --expect collision
-run simulate counterexamples/high-risk/road/01-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/road/02-1-hits-0.toml --controller road --expect collision
-run simulate counterexamples/high-risk/road/02-1-hits-0-escape.toml --expect safe
-run simulate counterexamples/high-risk/road/03-2-hits-1.toml --controller road --expect collision
-run simulate counterexamples/high-risk/road/03-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/road/04-2-hits-1.toml --controller road --expect collision
-run simulate counterexamples/high-risk/road/04-2-hits-1-escape.toml --expect safe
-run simulate counterexamples/high-risk/road/05-1-hits-0.toml --controller road --expect collision
-run simulate counterexamples/high-risk/road/05-1-hits-0-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/02-2-hits-1.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/02-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/03-1-hits-0.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/04-1-hits-0.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/04-1-hits-0-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/05-2-hits-1.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/05-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/road/06-2-hits-1.toml --controller road --expect collision
 run simulate counterexamples/high-risk/road/06-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/road/07-2-hits-1.toml --controller road --expect collision
@@ -142,6 +140,8 @@ run simulate counterexamples/high-risk/road/08-2-hits-1.toml --controller road -
 run simulate counterexamples/high-risk/road/08-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/road/09-2-hits-1.toml --controller road --expect collision
 run simulate counterexamples/high-risk/road/09-2-hits-1-escape.toml --expect safe
+run simulate counterexamples/high-risk/road/10-2-hits-1.toml --controller road --expect collision
+run simulate counterexamples/high-risk/road/10-2-hits-1-escape.toml --expect safe
 run worst-case paper-1 --controller baseline
 run worst-case paper-1 --controller idm
 run worst-case paper-1 --controller acc-aeb
