@@ -69,7 +69,6 @@ fn a_program_that_cannot_be_started_is_bad_input_and_nothing_is_run() {
         "verify rate --space short.toml --runs 5 --out out --controller idm --against",
         "worst-case paper-1 --controller",
         "suite run afgbv-cut-in --controller",
-        "plan --budget 9 --out out --controller",
         "explore paper-1 --controller",
         "export paper-1 --to openscenario --out out --controller",
     ];
