@@ -171,6 +171,11 @@ pub(super) fn traffic_measures(useful: &TrafficUsefulness) -> [f64; 6] {
     ]
 }
 
+/// Rounds a measure for a text, in which counts have no decimal places.
+pub(super) fn to_thousandths(value: f64) -> f64 {
+    (1000.0 * value).round() / 1000.0
+}
+
 /// Relative increase of a measure of comfort that does not count as worse.
 const COMFORT_TOLERANCE: f64 = 0.02;
 
@@ -237,7 +242,7 @@ impl fmt::Display for RejectionReason {
             }
             Self::WorseInTraffic { measures } => {
                 let each = measures.iter().map(|(measure, before, after)| {
-                    format!("{measure} {} instead of {}", format_rounded(*after, 3), format_rounded(*before, 3))
+                    format!("{measure} {} instead of {}", to_thousandths(*after), to_thousandths(*before))
                 });
                 write!(out, "in traffic {}", each.collect::<Vec<_>>().join(", "))
             }

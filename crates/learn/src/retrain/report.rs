@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use super::acceptance::{FailureChange, TRAFFIC_MEASURES, discordant_pairs, traffic_measures};
+use super::acceptance::{FailureChange, TRAFFIC_MEASURES, discordant_pairs, to_thousandths, traffic_measures};
 use super::files::{
     POLICY, REPORT_JSON, REPORT_MARKDOWN, REPORT_SVG, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET, to_json,
 };
@@ -15,7 +15,6 @@ use super::search::RoundFindings;
 use super::test_set::{CONFIDENCE, ControllerTally, PairedOutcomes, TestSetResults};
 use super::{RegressionResults, RetrainError};
 use crumple_core::digest::sha256;
-use crumple_core::digits::format_rounded;
 use crumple_core::quoting::{MarkdownCode, MarkdownText};
 use crumple_store::run_folder::RunFolder;
 
@@ -293,7 +292,7 @@ impl RetrainingReport {
         writeln!(out, "| in {} drives of everyday traffic | first | retrained |\n|---|---|---|", is.scenario_count)?;
         let values = traffic_measures(was).into_iter().zip(traffic_measures(is));
         for (name, (was, is)) in TRAFFIC_MEASURES.into_iter().zip(values) {
-            writeln!(out, "| {name} | {} | {} |", format_rounded(was, 3), format_rounded(is, 3))?;
+            writeln!(out, "| {name} | {} | {} |", to_thousandths(was), to_thousandths(is))?;
         }
         out.push('\n');
         Ok(())
