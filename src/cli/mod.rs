@@ -101,7 +101,7 @@ enum CliCommand {
     Simulate(simulate::Simulate),
     Import(import::Import),
     Fit(fit::Fit),
-    Replay(replay::Replay),
+    Replay(replay::LogReplay),
     Export(export::Export),
     Explore(explore::Explore),
     Train(train::Train),

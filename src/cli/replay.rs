@@ -33,7 +33,7 @@ have prevented a situation does not show, because the recorded driver keeps the 
 Examples:
   crumple replay platoon.csv --controller acc-aeb
   crumple replay log.mf4 --map log.toml --controller aeb.toml --format json")]
-pub(super) struct Replay {
+pub(super) struct LogReplay {
     /// Recordings
     #[arg(required = true, value_name = "RECORDING")]
     recordings: Vec<PathBuf>,
@@ -96,7 +96,7 @@ impl BrakingReport {
     }
 }
 
-impl Replay {
+impl LogReplay {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let map = self.map.as_deref().map(load_map).transpose()?;
         let min_brake = parse_min_brake(self.min_brake)?.mps2();
