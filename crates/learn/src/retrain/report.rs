@@ -196,8 +196,8 @@ impl RetrainingReport {
              are all avoidable scenarios collected up to the round. The *validation set* has {validation_draws} \
              avoidable random scenarios of {each} space. *paper-1..3* are the paper's scenarios, each through the \
              filter and with the true state. *paper's distribution* stands for {nominal} random scenarios of it. A \
-             round is accepted if there is no new failure in the last two columns, no more collisions in the validation set, \
-             and the candidate is not significantly worse in any regression space.\n"
+             round is accepted if there is no new failure in the last two columns, no more collisions in the \
+             validation set, and the candidate is not significantly worse in any regression space.\n"
         )?;
         self.write_regression(out)?;
         out.push_str("## Files\n\n| file | SHA-256 |\n|---|---|\n");
