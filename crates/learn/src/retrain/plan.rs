@@ -139,6 +139,10 @@ pub(super) const REGRESSION_SEED: u64 = 0x0072_6567_7265_7373;
 /// Factor on the learning rate of an imitation.
 const IMITATION_RATE_FACTOR: f32 = 0.1;
 
+/// Least factor on rows of the paper's distribution. Acceptance checks unnecessary braking there, and only a factor
+/// above 1 gives hard braking its weight.
+const PAPER_COSTS: f64 = 2.0;
+
 /// Offsets of the derived seeds of searches and of trainings.
 const SEARCH_SEED_BASE: u64 = 1 << 32;
 const TRAINING_SEED_BASE: u64 = 2 << 32;
@@ -157,6 +161,9 @@ impl RetrainingPlan {
         if let Some(imitation) = &mut training.imitation {
             imitation.rounds = 1;
             imitation.rate *= IMITATION_RATE_FACTOR;
+            for space in training.spaces.iter_mut().filter(|space| space.space == "paper") {
+                space.cost_multiplier = space.cost_multiplier.max(PAPER_COSTS);
+            }
         }
         training
     }
