@@ -34,6 +34,7 @@ const CASES: &[(&str, &str, StartExpectation)] = &[
     ("simulate", "driven-fmu.toml", Refused("/evil.fmu: ")),
     ("import", "driven.toml --out o", StartsNothing),
     ("fit", "driven.toml --out o.toml", StartsNothing),
+    ("replay", "driven.toml --controller idm", StartsNothing),
     ("export", "driven.toml --to openscenario --out o", RefusedOrStarts("driven.toml:")),
     ("export", "driven.toml --to openscenario --as actions --out o", RefusedOrStarts("driven.toml:")),
     ("explore", "driven.toml", Refused("driven.toml:")),

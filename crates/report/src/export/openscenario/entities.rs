@@ -2,7 +2,7 @@
 
 use std::io;
 
-use super::{Xml, attribute_text, entity_name, format_number, write_element, write_empty_element};
+use super::{Xml, attribute_text, entity_name, format_number, round, write_element, write_empty_element};
 use crumple_world::openscenario::DELAY_PROPERTIES;
 use crumple_world::scenario::{Driver, Scenario, VehicleClass, VehicleSpec};
 
@@ -49,7 +49,8 @@ pub(super) fn write_entities(xml: &mut Xml, scenario: &Scenario, with_controller
 
 fn write_vehicle(xml: &mut Xml, vehicle: &VehicleSpec) -> io::Result<()> {
     let (category, [width_m, height_m, wheel_m]) = vehicle_shape(vehicle.class);
-    let length_m = vehicle.length_m();
+    // Rounded before use, so that an imported vehicle is exported as it was.
+    let length_m = round(vehicle.length_m());
     let (length, mass) = (format_number(length_m), format_number(vehicle.mass_kg()));
     let wheelbase = format_number(length_m * (1.0 - 2.0 * REAR_OVERHANG_SHARE));
     let [width, height, half_height] = [width_m, height_m, height_m / 2.0].map(format_number);
