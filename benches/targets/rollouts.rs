@@ -20,7 +20,9 @@ pub fn measure(say: &mut dyn FnMut(Measurement)) {
             std::hint::black_box(simulate_batch(runs, RecordingLevel::Summary, |_, result| result.outcome));
         }
     };
-    let [truth_s, kalman_s] = min_cpu_time_s(40, [&mut all(&truth), &mut all(&kalman)]);
+    let predictive = runs(&scenarios, built_in("predictive"), EstimatorKind::Kalman);
+    let [truth_s, kalman_s, predictive_s] =
+        min_cpu_time_s(40, [&mut all(&truth), &mut all(&kalman), &mut all(&predictive)]);
     let ns = |seconds: f64, runs| 1e9 * seconds / vehicle_steps(runs) as f64;
     say(Measurement::at_most(5.0, "ns", "vehicle-step, baseline, true state", ns(truth_s, &truth)));
     // Noise is computed for two of three vehicles.
@@ -32,6 +34,8 @@ pub fn measure(say: &mut dyn FnMut(Measurement)) {
         share,
     ));
     say(Measurement::at_most(25.0, "ns", "vehicle-step, baseline, Kalman filter", ns(kalman_s, &kalman)));
+    let predictive_ns = ns(predictive_s, &predictive);
+    say(Measurement::at_most(100.0, "ns", "vehicle-step, predictive, Kalman filter", predictive_ns));
     let [one, two] = [1, 2].map(|count| rayon::ThreadPoolBuilder::new().num_threads(count).build().expect("threads"));
     let [one_s, two_s] = min_wall_time_s(40, [&mut || one.install(all(&kalman)), &mut || two.install(all(&kalman))]);
     say(Measurement::at_least(1.9, "times", "rollouts, two threads against one (wall clock)", one_s / two_s));

@@ -31,7 +31,7 @@ struct DoctorReport {
     threads: usize,
     /// SHA-256 of the program: only the same program can resume interrupted work.
     program_sha256: Option<&'static str>,
-    features: [Feature; 3],
+    features: [Feature; 4],
     needs: Vec<Dependency>,
 }
 

@@ -16,11 +16,13 @@ pub(super) struct Feature {
 pub(super) const EXPLORE: Feature =
     Feature { name: "explore", used_for: "`crumple explore`", enabled: cfg!(feature = "explore") };
 pub(super) const PARQUET: Feature =
-    Feature { name: "parquet", used_for: "traces as Parquet files", enabled: cfg!(feature = "parquet") };
+    Feature { name: "parquet", used_for: "traces and recordings in Parquet", enabled: cfg!(feature = "parquet") };
+pub(super) const MDF: Feature =
+    Feature { name: "mdf", used_for: "recordings in ASAM MDF 4", enabled: cfg!(feature = "mdf") };
 pub(super) const PNG: Feature =
     Feature { name: "png", used_for: "figures as PNG files", enabled: cfg!(feature = "png") };
 
-pub(super) const FEATURES: [Feature; 3] = [EXPLORE, PARQUET, PNG];
+pub(super) const FEATURES: [Feature; 4] = [EXPLORE, MDF, PARQUET, PNG];
 
 impl Feature {
     /// Returns the command that installs crumple with the feature, from a clone.

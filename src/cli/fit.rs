@@ -30,7 +30,9 @@ initial speed, its mean deceleration over its hardest second, the share of its s
 follower the speed relative to the leader and the time gap. Each parameter gets the most likely of five families \
 (uniform, normal, log-normal, gamma, Weibull), truncated to the values that a scenario may have. Leaders that stop \
 have a separate probability, as have lorries if the recordings state lengths. A Gaussian copula models the \
-dependence of the parameters. The space is a file for `falsify`, `verify rate` and assessments. It also states the \
+dependence of the parameters. The space is a file for `falsify`, `verify rate` and assessments. \
+Searches stay inside the region with 99.99 % of the fitted distribution (`search_share` in the file; without it, they \
+use the whole ranges). The file also states the \
 driving time and distance of the recordings, so that failures can be given per hour and per 1000 km, and the \
 parameters of the episodes, so that they can be resampled (docs/fitting.md).
 

@@ -16,6 +16,7 @@ use crumple_core::quoting::TerminalText;
 use crumple_report::draw::Svg;
 use crumple_report::figures;
 use crumple_store::disk::{DiskError, StagedFiles};
+use crumple_world::recording::guess::guess;
 use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{
     ImportOptions, ImportResult, ImportedRecording, ImportedScenario, LeaderSelection, MinBrake, Preview, TextFormat,
@@ -28,7 +29,9 @@ use crumple_world::recording::{
 Reads two formats, which it distinguishes by their first line: OpenACC CSV (speeds and bumper-to-bumper spacings of \
 a platoon), and car-following events (event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps). \
 For other formats, --map describes the columns, or names a built-in map. crumple detects how the text is written \
-(encoding, separators, decimal commas, ISO 8601 time stamps), and prints it. A braking episode is one in which a \
+(encoding, separators, decimal commas, ISO 8601 time stamps), and prints it. Parquet files need a build with the \
+feature `parquet`; ASAM MDF 4 files (also raw CAN frames, with a DBC file named in the map) need the feature `mdf`: \
+`cargo install --locked --path . --features mdf,parquet`. A braking episode is one in which a \
 vehicle's speed drops by more than --min-brake times one second within one second; that vehicle leads the scenario. \
 Those behind it start at the recorded gaps and speeds and are under test; only the last of three or more vehicles is \
 driven by the baseline. Without any episode the exit code is 1, and the hardest braking found is printed.
@@ -44,6 +47,7 @@ is if it is equal; if it differs, nothing is written without --force.
 Examples:
   crumple import platoon.csv --out episodes
   crumple import 01_tracks.csv --map highd --preview 01.svg
+  crumple import log.csv --guess > log.toml
   crumple import log.csv --map log.toml --min-brake 2 --out episodes
   crumple import cut-in.xosc --ego Ego --distribution speeds.xosc --out cut-ins")]
 pub(super) struct Import {
@@ -61,6 +65,9 @@ pub(super) struct Import {
         conflicts_with_all = ["out", "leaders", "min_brake"]
     )]
     preview: Option<PathBuf>,
+    /// Print a draft of a map for one recording, by names, units and consistency of its columns; imports nothing
+    #[arg(long, conflicts_with_all = ["map", "preview", "out", "leaders", "min_brake"])]
+    guess: bool,
     /// Vehicles whose braking makes an episode
     #[arg(long, default_value = "any", value_parser = value_enums::one_of(value_enums::LEADERS))]
     leaders: LeaderSelection,
@@ -143,7 +150,7 @@ pub(super) fn parse_min_brake(asked_mps2: Option<f64>) -> Result<MinBrake, CliEr
 }
 
 /// Prints how a recording is written, as far as crumple detected it.
-fn note_text_format(path: &Path, text: &TextFormat, quiet: bool) {
+pub(super) fn note_text_format(path: &Path, text: &TextFormat, quiet: bool) {
     let text = text.to_string();
     if !text.is_empty() {
         output::note(&format!("{}: detected {text}", path.display()), quiet);
@@ -170,11 +177,30 @@ impl Import {
         if self.openscenario.is_used() {
             return Err(CliError::Input("--ego and --distribution apply only to a file F.xosc".to_owned()));
         }
+        if self.guess {
+            return self.draft_map(quiet);
+        }
         let map = self.map.as_deref().map(load_map).transpose()?;
         if let Some(picture) = &self.preview {
             return self.show_preview(picture, map.as_ref(), quiet);
         }
         self.import(map.as_ref(), quiet)
+    }
+
+    /// Prints the map that fits a recording.
+    fn draft_map(&self, quiet: bool) -> Result<(), CliError> {
+        let [path] = self.recordings.as_slice() else {
+            return Err(CliError::Input("--guess: give only one recording".to_owned()));
+        };
+        let Some(draft) = guess(path)? else {
+            let problem = "no column looks like a time with spacings or positions and speeds: write a map by hand";
+            return Err(CliError::Gate(format!("{}: {problem} (docs/exchange.md)", path.display())));
+        };
+        note_text_format(path, &draft.recording.text, quiet);
+        draft.recording.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
+        output::note("note: check the draft: bumpers, lengths and ids cannot be seen in the columns", quiet);
+        let text = draft.map.to_toml().map_err(CliError::input)?;
+        output::print_result(self.format, &draft.map, || text)
     }
 
     /// Prints and plots the interpretation of a recording.

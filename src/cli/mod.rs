@@ -32,6 +32,7 @@ mod preset;
 mod progress;
 mod rare;
 mod reach;
+mod replay;
 mod retrain;
 mod run_report;
 mod shell;
@@ -73,7 +74,7 @@ const TASKS: &[(&str, &[&str])] = &[
     ("Search for collisions", &["falsify", "worst-case", "avoid"]),
     ("Prove", &["verify", "check"]),
     ("Train and tune", &["train", "retrain", "tune"]),
-    ("Use recorded data", &["import", "fit"]),
+    ("Use recorded data", &["import", "fit", "replay"]),
     ("Manage results", &["merge", "fsck"]),
     ("Look up", &["list", "show", "describe", "doctor"]),
     ("Set up the shell", &["completions", "man"]),
@@ -100,6 +101,7 @@ enum CliCommand {
     Simulate(simulate::Simulate),
     Import(import::Import),
     Fit(fit::Fit),
+    Replay(replay::LogReplay),
     Export(export::Export),
     Explore(explore::Explore),
     Train(train::Train),
@@ -149,6 +151,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         CliCommand::Simulate(command) => command.run(quiet),
         CliCommand::Import(command) => command.run(quiet),
         CliCommand::Fit(command) => command.run(quiet),
+        CliCommand::Replay(command) => command.run(quiet),
         CliCommand::Export(command) => command.run(quiet),
         CliCommand::Explore(command) => command.run(quiet),
         CliCommand::Train(command) => command.run(quiet),

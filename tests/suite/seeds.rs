@@ -63,6 +63,7 @@ fn fresh_seeds() {
             "certificate" => certificates(),
             "recording" => recordings(),
             "openscenario" => openscenario_files(),
+            "binary_recording" | "dbc_file" => committed_mdf_files(target),
             "stl" => formulas(),
             "work_folder" => folder_changes(),
             other => panic!("nothing is generated for {other}"),
@@ -73,6 +74,17 @@ fn fresh_seeds() {
             fs::write(folder.join(number.to_string()), input).unwrap();
         }
     }
+}
+
+/// Files of other tools, with the extension that the target reads.
+fn committed_mdf_files(target: &str) -> Vec<Vec<u8>> {
+    let extension = if target == "dbc_file" { "dbc" } else { "mf4" };
+    let entries = fs::read_dir(root().join("corpora/recordings/mdf")).unwrap();
+    let paths = entries.map(|entry| entry.unwrap().path());
+    paths
+        .filter(|path| path.extension().is_some_and(|found| found == extension))
+        .map(|path| fs::read(path).unwrap())
+        .collect()
 }
 
 fn root() -> &'static Path {

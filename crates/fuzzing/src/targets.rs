@@ -18,6 +18,7 @@ use crumple_world::network::NetworkFile;
 use crumple_world::openscenario::{OpenScenarioSource, ParameterDistributionFile};
 use crumple_world::policy::{Policy, Workspace};
 use crumple_world::recording::map::RecordingMap;
+use crumple_world::recording::mdf::{DbcFile, SignalSet};
 use crumple_world::recording::{self, LeaderSelection, MinBrake, find_episodes};
 use crumple_world::scenario::file::{from_toml, to_toml};
 use crumple_world::scenario::{Scenario, built_in_scenario};
@@ -27,7 +28,7 @@ use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};
 pub type FuzzTarget = fn(&[u8]) -> Result<(), Violation>;
 
 /// All targets by name, which is also the name of the folder of their seeds.
-pub const TARGETS: [(&str, FuzzTarget); 11] = [
+pub const TARGETS: [(&str, FuzzTarget); 13] = [
     ("scenario", scenario),
     ("lanes", lanes),
     ("scenario_file", scenario_file),
@@ -37,6 +38,8 @@ pub const TARGETS: [(&str, FuzzTarget); 11] = [
     ("certificate", certificate),
     ("recording", recording),
     ("openscenario", openscenario),
+    ("binary_recording", binary_recording),
+    ("dbc_file", dbc_file),
     ("stl", stl),
     ("work_folder", work_folder),
 ];
@@ -242,26 +245,74 @@ layout.tracks.length.metres = 2.0
 pub fn recording(bytes: &[u8]) -> Result<(), Violation> {
     let tracks = RecordingMap::from_toml(TRACKS_MAP, Path::new("tracks.toml"));
     ensure(tracks.is_ok(), Invariant::Reading, TRACKS_MAP, || format!("{tracks:?}"))?;
-    for map in [None, tracks.as_ref().ok()] {
-        let Ok(recording) = recording::read(bytes, Path::new("f.csv"), map) else { continue };
-        for (number, episode) in
-            find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes.iter().enumerate()
-        {
-            let Ok(scenario) = episode.scenario(format!("f-{number}"), "f.csv") else { continue };
-            let text = to_toml(&scenario).unwrap_or_default();
-            let back = from_toml(&text, Path::new("f.toml"));
-            let same = back.as_ref().is_ok_and(|back| *back == scenario);
-            ensure(same, Invariant::Files, &text, || format!("it reads back as {back:?}"))?;
+    [None, tracks.ok()].iter().try_for_each(|map| check_recording(bytes, map.as_ref()))
+}
+
+/// Map for the signals of the seeds of [`binary_recording`].
+const BINARY_MAP: &str = r#"version = 1
+name = "binary"
+time.clock = { column = "time_s" }
+layout.pairs.spacing = { column = "gap_m" }
+layout.pairs.follower_speed = { column = "ego_mps" }
+layout.pairs.leader_speed = { column = "lead_mps" }
+"#;
+
+/// Checks Parquet and MDF files as [`recording()`] checks texts.
+///
+/// # Errors
+/// A [`Violation`] of [`Invariant::Reading`].
+pub fn binary_recording(bytes: &[u8]) -> Result<(), Violation> {
+    let map = RecordingMap::from_toml(BINARY_MAP, Path::new("binary.toml"));
+    ensure(map.is_ok(), Invariant::Reading, BINARY_MAP, || format!("{map:?}"))?;
+    check_recording(bytes, map.as_ref().ok())
+}
+
+/// Checks that bytes are a DBC file or are refused with a one-line error, and that a frame of it can be decoded.
+///
+/// # Errors
+/// A [`Violation`] of [`Invariant::Reading`].
+pub fn dbc_file(bytes: &[u8]) -> Result<(), Violation> {
+    match DbcFile::parse(bytes, Path::new("f.dbc")) {
+        Ok(dbc) => {
+            let frames = Cursor::new(FRAMES);
+            let signals = SignalSet::read(frames, Some(&dbc), &|name| !name.contains('.'));
+            ensure(signals.is_ok(), Invariant::Reading, "", || format!("frames are refused: {signals:?}"))
         }
-        for dropped in &recording.dropped {
-            let is_said = !dropped.to_string().is_empty();
-            ensure(is_said, Invariant::Reading, "", || "a row or column is dropped without a note".to_owned())?;
+        Err(error) => {
+            let message = error.to_string();
+            ensure(!message.contains('\n'), Invariant::Reading, "", || message)
         }
-        let seen = recording::preview(&recording);
-        let is_even =
-            seen.is_none_or(|seen| seen.speed_mps[0] <= seen.speed_mps[1] && seen.speed_mps[1] <= seen.speed_mps[2]);
-        ensure(is_even, Invariant::Reading, "", || "speeds are out of order".to_owned())?;
     }
+}
+
+/// An MDF file of raw CAN frames.
+const FRAMES: &[u8] = include_bytes!("../../../corpora/fuzz/binary_recording/frames");
+
+fn check_recording(bytes: &[u8], map: Option<&RecordingMap>) -> Result<(), Violation> {
+    let recording = match recording::read_bytes(bytes, Path::new("f.csv"), map) {
+        Ok(recording) => recording,
+        Err(error) => {
+            let message = error.to_string();
+            return ensure(!message.contains('\n'), Invariant::Reading, "", || message);
+        }
+    };
+    for (number, episode) in
+        find_episodes(&recording, MinBrake::default(), LeaderSelection::Any).episodes.iter().enumerate()
+    {
+        let Ok(scenario) = episode.scenario(format!("f-{number}"), "f.csv") else { continue };
+        let text = to_toml(&scenario).unwrap_or_default();
+        let back = from_toml(&text, Path::new("f.toml"));
+        let same = back.as_ref().is_ok_and(|back| *back == scenario);
+        ensure(same, Invariant::Files, &text, || format!("it reads back as {back:?}"))?;
+    }
+    for dropped in &recording.dropped {
+        let is_said = !dropped.to_string().is_empty();
+        ensure(is_said, Invariant::Reading, "", || "a row or column is dropped without a note".to_owned())?;
+    }
+    let seen = recording::preview(&recording);
+    let is_even =
+        seen.is_none_or(|seen| seen.speed_mps[0] <= seen.speed_mps[1] && seen.speed_mps[1] <= seen.speed_mps[2]);
+    ensure(is_even, Invariant::Reading, "", || "speeds are out of order".to_owned())?;
     Ok(())
 }
 

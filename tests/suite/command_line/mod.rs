@@ -276,18 +276,32 @@ fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
         ("png", cfg!(feature = "png"), "simulate paper-1 --plot p.png"),
         ("png", cfg!(feature = "png"), "suite map cut-in-gap --cells 2x2 --out m.png"),
         ("parquet", cfg!(feature = "parquet"), "simulate paper-1 --trace t.parquet"),
+        (
+            "parquet",
+            cfg!(feature = "parquet"),
+            "import CORPORA/fuzz/binary_recording/parquet-snappy --map CORPORA/recordings/mdf/map.toml --out P",
+        ),
+        (
+            "mdf",
+            cfg!(feature = "mdf"),
+            "import CORPORA/fuzz/binary_recording/transposed-clocks --map CORPORA/recordings/mdf/map.toml --out M",
+        ),
     ] {
         let listed = doctor[0]["features"].as_array().unwrap().iter().find(|listed| listed["name"] == feature).unwrap();
         assert_eq!(listed["enabled"], enabled);
         let command = format!("cargo install --locked --path . --features {feature}");
         assert_eq!(stdout(&doctor_text).contains(&command), !enabled);
-        let output = run_crumple(folder.path(), arguments);
+        let arguments = arguments.replace("CORPORA", concat!(env!("CARGO_MANIFEST_DIR"), "/corpora"));
+        let output = run_crumple(folder.path(), &arguments);
         match enabled {
             true => assert_eq!(exit_code(&output), 0, "{}", stderr(&output)),
             false => assert_refused(&output, &command),
         }
     }
-    assert_eq!(file_names_in(folder.path()).is_empty(), cfg!(not(any(feature = "png", feature = "parquet"))));
+    assert_eq!(
+        file_names_in(folder.path()).is_empty(),
+        cfg!(not(any(feature = "png", feature = "parquet", feature = "mdf")))
+    );
 }
 
 #[test]

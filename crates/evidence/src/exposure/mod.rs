@@ -39,6 +39,16 @@ pub struct IntervalEstimate {
     pub upper: f64,
 }
 
+impl IntervalEstimate {
+    /// Returns the rate of independent events that were counted in an exposure, with its exact interval (Garwood, 1936)
+    /// at [`CONFIDENCE`].
+    #[must_use]
+    pub fn poisson_rate(events: u64, exposure: f64) -> Self {
+        let [lower, upper] = expected_count_interval(EpisodeClusters::singletons(events), CONFIDENCE);
+        Self { estimate: events as f64 / exposure, lower: lower / exposure, upper: upper / exposure }
+    }
+}
+
 /// Rates of failures on the road.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]

@@ -62,7 +62,8 @@ fn observe_traffic(truth: &ScenarioSpace, hours: f64, an_hour: f64, random: &mut
         point_mass: None,
         values,
     });
-    let observed = ObservedData { braking_clusters: (0..episodes as u32).collect(), parameters: parameters.collect() };
+    let (braking_clusters, parameters) = ((0..episodes as u32).collect(), parameters.collect());
+    let observed = ObservedData { braking_clusters, search_share: None, parameters };
     spec.observed = Some(observed.clone());
     refit(&spec, &observed).unwrap()
 }

@@ -25,6 +25,8 @@ pub struct ExtractionConfig {
 pub const MAX_VEHICLES: usize = 5;
 const MAX_EPISODES: usize = 10_000;
 const MAX_RECORDINGS: usize = 1000;
+/// Share of a fitted distribution in the region in which searches stay.
+const SEARCH_SHARE: f64 = 0.9999;
 /// Speed below which a recorded vehicle stands, in m/s.
 const STANDSTILL_MPS: f64 = 0.1;
 const EPISODES_PER_FEATURE: usize = 4;
@@ -255,6 +257,7 @@ impl EpisodeSample {
         };
         let observed = ObservedData {
             braking_clusters: renumber_clusters(&clusters),
+            search_share: Some(SEARCH_SHARE),
             parameters: features.iter().zip(columns).map(parameter).collect(),
         };
         Ok(Self { extraction: taken, features, observed, exposure, sizes, exclusions, most_out_of_range })

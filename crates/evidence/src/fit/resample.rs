@@ -29,5 +29,9 @@ pub(crate) fn resample(observed: &ObservedData, seed: u64, index: u64) -> Observ
             .collect(),
         ..parameter.clone()
     };
-    ObservedData { braking_clusters: numbered.collect(), parameters: observed.parameters.iter().map(values).collect() }
+    ObservedData {
+        braking_clusters: numbered.collect(),
+        search_share: observed.search_share,
+        parameters: observed.parameters.iter().map(values).collect(),
+    }
 }

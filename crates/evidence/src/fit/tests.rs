@@ -174,6 +174,7 @@ fn observe_draws(space: &ScenarioSpace, count: u32, seed: u64) -> ObservedData {
     };
     ObservedData {
         braking_clusters: (0..count).collect(),
+        search_share: None,
         parameters: space.parameters().iter().enumerate().map(seen).collect(),
     }
 }
@@ -272,9 +273,7 @@ fn refit_names_changed_values_and_keeps_unobserved_ones() {
     };
     for kept in [1, 2] {
         let parameters = observed.parameters[..kept].to_vec();
-        let again =
-            refit(space.spec(), &ObservedData { parameters, braking_clusters: observed.braking_clusters.clone() })
-                .unwrap();
+        let again = refit(space.spec(), &ObservedData { parameters, ..observed.clone() }).unwrap();
         let (before, after) = (stated(&space), stated(&again));
         assert_eq!(before.parameters, after.parameters);
         for (row, a) in before.parameters.iter().enumerate() {

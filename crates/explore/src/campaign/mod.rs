@@ -249,7 +249,7 @@ fn distinct_failures_table(shown: &CampaignView<'_>) -> Markup {
                 td.number { (format_number(found.contact_time_s, 2)) }
                 td { (avoidability_label(found.avoidability.class())) }
                 td { (found.found_by) " after " (found.found_at) }
-                td { (TerminalText(&found.changed.iter().map(changed_parameter).collect::<Vec<_>>().join(", "))) }
+                td { (TerminalText(&list_changes(&found.changed))) }
             } } }
         } } }
     }
@@ -296,9 +296,8 @@ fn failures_table(shown: &[CampaignView<'_>], chosen: &EvaluationFilter<'_>) -> 
     html! { @for one in shown { (list(one)) } }
 }
 
-fn changed_parameter(changed: &ChangedParameter) -> String {
-    let unit = if changed.unit == "1" { "" } else { changed.unit.as_str() };
-    format!("{} {} {unit}", changed.parameter, changed.value).trim_end().to_owned()
+fn list_changes(changed: &[ChangedParameter]) -> String {
+    changed.iter().map(ChangedParameter::to_string).collect::<Vec<_>>().join(", ")
 }
 
 fn avoidability_label(class: AvoidabilityClass) -> &'static str {

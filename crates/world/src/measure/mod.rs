@@ -19,7 +19,7 @@ mod specification;
 pub mod stl;
 #[cfg(test)]
 mod testing;
-mod usefulness;
+pub(crate) mod usefulness;
 
 use serde::{Deserialize, Serialize};
 

@@ -207,9 +207,9 @@ impl Comparison {
     ///
     /// # Errors
     /// [`RecordingError::Line`] if another unit or sign in the map would end the contradiction.
-    pub(super) fn check<R: std::io::Read>(
+    pub(super) fn check(
         &self,
-        table: &RowReader<'_, R>,
+        table: &RowReader<'_>,
         field: &str,
         columns: [&str; 2],
         (hypotheses, dropped): (&[Hypothesis], &mut Vec<DroppedItem>),

@@ -34,6 +34,14 @@ pub enum RecordingError {
         /// Problem of the line.
         problem: LineProblem,
     },
+    /// A file that is no text and cannot be read.
+    #[error("{}: {problem}", path.display())]
+    Binary {
+        /// Path of the file.
+        path: PathBuf,
+        /// Problem of the file.
+        problem: BinaryProblem,
+    },
     /// An invalid map.
     #[error(transparent)]
     Map(Box<FileError>),
@@ -56,6 +64,34 @@ pub enum RecordingError {
         /// Error of the serializer.
         source: toml::ser::Error,
     },
+}
+
+/// A problem of a file that is no text.
+#[derive(Debug, thiserror::Error)]
+#[non_exhaustive]
+pub enum BinaryProblem {
+    /// A format that this build does not read.
+    #[error(
+        "this is {format}, and this build of crumple lacks the feature `{feature}`: install it with `cargo install \
+        --locked --path . --features {feature}` in a clone"
+    )]
+    NeedsFeature {
+        /// Name of the format, with its article.
+        format: &'static str,
+        /// Feature that reads it.
+        feature: &'static str,
+    },
+    /// An MDF file without map.
+    #[error("an MDF file needs a map that names its signals (--map); `crumple import --guess` drafts one")]
+    NeedsMap,
+    /// A damaged or unsupported MDF file, or a wrong DBC file.
+    #[cfg(feature = "mdf")]
+    #[error(transparent)]
+    Mdf(#[from] super::mdf::MdfError),
+    /// A damaged or unsupported Parquet file.
+    #[cfg(feature = "parquet")]
+    #[error("the Parquet file cannot be read: {0}")]
+    Parquet(String),
 }
 
 /// A problem of a line.

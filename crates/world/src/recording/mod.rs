@@ -6,25 +6,34 @@
 //! and car-following events (pairs cut out of traffic recordings such as NGSIM). [`find_episodes`] finds the brakings
 //! of a [`Recording`]; [`import()`] converts each episode to a scenario and lists the dropped parts.
 
+mod binary;
 mod consistency;
 mod dropped;
 mod episode;
 mod episodes;
 mod error;
 mod exposure;
+pub mod guess;
 mod import;
 mod lead_vehicles;
 pub mod map;
 #[cfg(test)]
 mod map_tests;
+#[cfg(feature = "mdf")]
+pub mod mdf;
 mod motion;
 #[cfg(test)]
 mod motion_tests;
 mod number;
 mod pairs;
+#[cfg(feature = "parquet")]
+mod parquet_rows;
 mod platoons;
 mod preview;
+pub mod replay;
 mod series;
+#[cfg(feature = "mdf")]
+mod signal_rows;
 mod table;
 mod target_switches;
 #[cfg(test)]
@@ -36,14 +45,14 @@ mod tracks;
 mod traffic;
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{Cursor, Read};
 use std::path::{Path, PathBuf};
 
 pub use consistency::ColumnContradiction;
 pub use dropped::{DroppedItem, EpisodeProblem, Omission};
 pub use episode::{BrakingEpisode, CAR_LENGTH_M, EpisodeVehicle};
 pub use episodes::{FoundEpisodes, LeaderSelection, MinBrake, find_episodes};
-pub use error::{ColumnProblem, LineProblem, RecordingError};
+pub use error::{BinaryProblem, ColumnProblem, LineProblem, RecordingError};
 pub use exposure::{FollowingExposure, braking_clusters, following_exposure};
 pub use import::{ImportOptions, ImportResult, ImportedRecording, ImportedScenario, import};
 pub use lead_vehicles::VehicleAhead;
@@ -151,19 +160,39 @@ impl RecordedVehicle {
     }
 }
 
-/// Reads a recording file with any extension. The columns are those of `map`, or of the built-in map that matches the
-/// first line.
+/// Reads a recording file with any extension: text, or Parquet or MDF 4 if the build has the features `parquet` and
+/// `mdf`. The columns are those of `map`, or of the built-in map that matches the first line.
 ///
 /// # Errors
 /// [`RecordingError`] for a file that cannot be read, is of neither built-in format, lacks a column of its map, is
 /// truncated, or holds a field that is not a number. Missing and impossible values are no errors: they are in
 /// [`Recording::dropped`].
 pub fn load(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
-    let file = File::open(path).map_err(|source| RecordingError::Read { path: path.to_owned(), source })?;
-    read(file, path, map)
+    let error = |source| RecordingError::Read { path: path.to_owned(), source };
+    let mut file = File::open(path).map_err(error)?;
+    let mut start = Vec::new();
+    file.by_ref().take(binary::START_BYTES).read_to_end(&mut start).map_err(error)?;
+    match binary::BinaryFormat::detect(&start) {
+        Some(format) => read_rows(binary::open(format, file, path, map.map(RecordingMap::spec))?, path, map),
+        None => read(Cursor::new(start).chain(file), path, map),
+    }
 }
 
-/// Reads a recording from a stream; `path` only names it.
+/// Reads the bytes of a recording file; `path` only names it.
+///
+/// # Errors
+/// As [`load`].
+pub fn read_bytes(bytes: &[u8], path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
+    match binary::BinaryFormat::detect(bytes) {
+        Some(format) => {
+            let bytes = binary::Input::Bytes(bytes.to_vec());
+            read_rows(binary::open(format, bytes, path, map.map(RecordingMap::spec))?, path, map)
+        }
+        None => read(bytes, path, map),
+    }
+}
+
+/// Reads a text recording from a stream; `path` only names it.
 ///
 /// Memory is bounded: the function fails for lines above a mebibyte, and for more than 5 million rows, 20 million
 /// speeds and gaps, 200 vehicles of a platoon or 100 000 events. Ignores a byte order mark and carriage returns before
@@ -172,7 +201,10 @@ pub fn load(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, Record
 /// # Errors
 /// As [`load`].
 pub fn read(from: impl Read, path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
-    let mut table = RowReader::new(from, path, map.map(RecordingMap::spec))?;
+    read_rows(RowReader::new(from, path, map.map(RecordingMap::spec))?, path, map)
+}
+
+fn read_rows(mut table: RowReader<'_>, path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
     let Some(first) = table.next_header()? else {
         return Err(RecordingError::Empty { path: path.to_owned() });
     };
@@ -199,8 +231,8 @@ pub fn read(from: impl Read, path: &Path, map: Option<&RecordingMap>) -> Result<
     read_with_map(&mut table, map.spec(), first)
 }
 
-fn read_with_map<R: Read>(
-    table: &mut RowReader<'_, R>,
+fn read_with_map(
+    table: &mut RowReader<'_>,
     map: &RecordingMapSpec,
     first: CsvRow<'_>,
 ) -> Result<Recording, RecordingError> {

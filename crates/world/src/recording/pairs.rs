@@ -4,7 +4,6 @@
 //! or is checked against both.
 
 use std::collections::HashMap;
-use std::io::Read;
 use std::{iter, mem};
 
 use super::consistency::{Comparison, Hypothesis};
@@ -23,8 +22,8 @@ const SPEED_TOLERANCE_MPS: f64 = 0.1;
 const MAX_EVENTS: usize = 100_000;
 
 /// Reads the rows after the column names.
-pub(super) fn read<R: Read>(
-    table: &mut RowReader<'_, R>,
+pub(super) fn read(
+    table: &mut RowReader<'_>,
     (map, pairs): (&RecordingMapSpec, &PairsSpec),
     names: &CsvRow<'_>,
 ) -> Result<Recording, RecordingError> {
@@ -233,7 +232,7 @@ impl<'m> EventReader<'m> {
     }
 
     /// Compares the closing speed with both speeds, and the gap with the closing speed.
-    fn check<R: Read>(&self, table: &RowReader<'_, R>, dropped: &mut Vec<DroppedItem>) -> Result<(), RecordingError> {
+    fn check(&self, table: &RowReader<'_>, dropped: &mut Vec<DroppedItem>) -> Result<(), RecordingError> {
         let (map, pairs) = self.spec;
         let name = |series: &Option<Series>| series.as_ref().map_or("", |one| &one.column.name).to_owned();
         let (leader, follower, relative) = (name(&self.leader), name(&self.follower), name(&self.relative));

@@ -10,7 +10,6 @@
 //! follows the distance of their antennas). The platoon is split at such holes.
 
 use std::collections::BTreeMap;
-use std::io::Read;
 
 use csv::StringRecord;
 
@@ -26,8 +25,8 @@ use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat, TextFo
 const MAX_VEHICLES: usize = 200;
 
 /// Reads the rows after the column names, with the header lines.
-pub(super) fn read<R: Read>(
-    table: &mut RowReader<'_, R>,
+pub(super) fn read(
+    table: &mut RowReader<'_>,
     (map, platoon): (&RecordingMapSpec, &PlatoonSpec),
     lines: &[StringRecord],
     names: &CsvRow<'_>,
@@ -244,7 +243,7 @@ impl PlatoonColumns {
 }
 
 /// Returns the number, from 1, of a column such as `Speed2`, for the pattern `Speed{}`.
-fn column_number(name: &str, called: &str) -> Option<usize> {
+pub(super) fn column_number(name: &str, called: &str) -> Option<usize> {
     let (before, after) = called.split_once("{}")?;
     let number = name.strip_prefix(before)?.strip_suffix(after)?.parse::<u16>().ok()?;
     (number > 0).then_some(usize::from(number))

@@ -6,7 +6,7 @@ use std::path::Path;
 use csv::StringRecord;
 
 use super::dropped::{DroppedItem, Omission};
-use super::error::{ColumnProblem, LineProblem, RecordingError};
+use super::error::{BinaryProblem, ColumnProblem, LineProblem, RecordingError};
 use super::map::{DecimalMark, RecordingMapSpec};
 use super::number::parse_number;
 use super::text::{TextFormat, Utf8Reader};
@@ -15,7 +15,7 @@ use super::text::{TextFormat, Utf8Reader};
 const MAX_LINE_BYTES: usize = 1 << 20;
 pub(super) const MAX_ROWS: usize = 5_000_000;
 /// Maximum number of speeds and gaps of a file: 320 MB.
-const MAX_VALUES: usize = 20_000_000;
+pub(super) const MAX_VALUES: usize = 20_000_000;
 
 /// Adds a line feed to the last line, and rejects overlong lines before they fill the memory.
 struct LineLimitReader<R> {
@@ -50,20 +50,43 @@ impl<R: Read> Read for LineLimitReader<R> {
 }
 
 /// A text whose sample was read before.
-type SampledText<R> = Chain<Cursor<Vec<u8>>, Utf8Reader<R>>;
+type SampledText<'a> = Chain<Cursor<Vec<u8>>, Utf8Reader<Box<dyn Read + 'a>>>;
 
-pub(super) struct RowReader<'a, R> {
+pub(super) struct RowReader<'a> {
     path: &'a Path,
-    reader: csv::Reader<LineLimitReader<SampledText<R>>>,
+    rows: RowSource<'a>,
     format: TextFormat,
     row: CsvRow<'a>,
 }
 
-impl<'a, R: Read> RowReader<'a, R> {
+enum RowSource<'a> {
+    Text(Box<csv::Reader<LineLimitReader<SampledText<'a>>>>),
+    Binary { rows: Box<dyn BinaryRows + 'a>, names: Option<StringRecord> },
+}
+
+/// Rows of a file that is no text.
+pub(super) trait BinaryRows {
+    /// Reads the next row: texts of ids and whole numbers, and numbers, NaN if missing. Returns false at the end.
+    fn next_row(&mut self, texts: &mut StringRecord, numbers: &mut Vec<f64>) -> Result<bool, BinaryProblem>;
+}
+
+impl<'a> RowReader<'a> {
+    /// Reads rows with named columns.
+    pub(super) fn from_binary(rows: Box<dyn BinaryRows + 'a>, names: StringRecord, path: &'a Path) -> Self {
+        let row =
+            CsvRow { path, line: 0, fields: StringRecord::new(), numbers: Vec::new(), decimal: DecimalMark::Point };
+        Self { path, rows: RowSource::Binary { rows, names: Some(names) }, format: TextFormat::default(), row }
+    }
+
     /// Detects the text format, as far as `map` does not state it.
-    pub(super) fn new(from: R, path: &'a Path, map: Option<&RecordingMapSpec>) -> Result<Self, RecordingError> {
-        let mut text = Utf8Reader::new(from);
-        let start = CsvRow { path, line: 1, fields: StringRecord::new(), decimal: DecimalMark::Point };
+    pub(super) fn new(
+        from: impl Read + 'a,
+        path: &'a Path,
+        map: Option<&RecordingMapSpec>,
+    ) -> Result<Self, RecordingError> {
+        let mut text = Utf8Reader::new(Box::new(from) as Box<dyn Read + 'a>);
+        let (fields, numbers) = (StringRecord::new(), Vec::new());
+        let start = CsvRow { path, line: 1, fields, numbers, decimal: DecimalMark::Point };
         let sample = text.sample().map_err(|error| start.io_error(error))?;
         let format = TextFormat::detect(&String::from_utf8_lossy(&sample), map);
         let reader = csv::ReaderBuilder::new()
@@ -81,12 +104,18 @@ impl<'a, R: Read> RowReader<'a, R> {
                 is_quoted: false,
             });
         let decimal = format.decimal;
-        Ok(Self { path, reader, format, row: CsvRow { line: 0, decimal, ..start } })
+        let rows = RowSource::Text(Box::new(reader));
+        Ok(Self { path, rows, format, row: CsvRow { line: 0, decimal, ..start } })
     }
 
     /// Returns the text format, with the encoding of what was read so far.
     pub(super) fn format(&self) -> TextFormat {
-        TextFormat { encoding: self.reader.get_ref().inner.get_ref().1.encoding(), ..self.format.clone() }
+        match &self.rows {
+            RowSource::Text(reader) => {
+                TextFormat { encoding: reader.get_ref().inner.get_ref().1.encoding(), ..self.format.clone() }
+            }
+            RowSource::Binary { .. } => TextFormat { encoding: "UTF-8", ..self.format.clone() },
+        }
     }
 
     /// Returns the next row with trimmed fields, such as column names.
@@ -102,28 +131,40 @@ impl<'a, R: Read> RowReader<'a, R> {
 
     /// Returns the next row that is not blank; `None` at the end of the file.
     pub(super) fn next_row(&mut self) -> Result<Option<&CsvRow<'a>>, RecordingError> {
-        loop {
-            match self.reader.read_record(&mut self.row.fields) {
-                Ok(true) => {
-                    // `row.position` precedes blank lines; the reader's position follows the row.
-                    self.row.line = self.reader.position().line().saturating_sub(1);
-                    if self.row.fields.len() > 1 || !self.row.text(0).is_empty() {
-                        return Ok(Some(&self.row));
+        let Self { rows, row, path, .. } = self;
+        match rows {
+            RowSource::Text(reader) => loop {
+                match reader.read_record(&mut row.fields) {
+                    Ok(true) => {
+                        // `row.position` precedes blank lines; the reader's position follows the row.
+                        row.line = reader.position().line().saturating_sub(1);
+                        if row.fields.len() > 1 || !row.text(0).is_empty() {
+                            return Ok(Some(row));
+                        }
+                    }
+                    Ok(false) => return Ok(None),
+                    Err(error) => {
+                        // Errors occur inside the next row.
+                        row.line = reader.position().line();
+                        return Err(match error.into_kind() {
+                            csv::ErrorKind::Io(source) => row.io_error(source),
+                            other => row.io_error(io::Error::new(io::ErrorKind::InvalidData, format!("{other:?}"))),
+                        });
                     }
                 }
-                Ok(false) => return Ok(None),
-                Err(error) => return Err(self.read_error(error)),
+            },
+            RowSource::Binary { names, .. } if names.is_some() => {
+                row.fields = names.take().unwrap_or_default();
+                Ok(Some(row))
             }
-        }
-    }
-
-    fn read_error(&self, error: csv::Error) -> RecordingError {
-        // Errors occur inside the next row.
-        let line = self.reader.position().line();
-        let row = CsvRow { line, ..self.row.clone() };
-        match error.into_kind() {
-            csv::ErrorKind::Io(source) => row.io_error(source),
-            other => row.io_error(io::Error::new(io::ErrorKind::InvalidData, format!("{other:?}"))),
+            RowSource::Binary { rows, .. } => {
+                row.line += 1;
+                row.fields.clear();
+                row.numbers.clear();
+                let is_row = rows.next_row(&mut row.fields, &mut row.numbers);
+                let problem = |problem| RecordingError::Binary { path: path.to_path_buf(), problem };
+                Ok(is_row.map_err(problem)?.then_some(row))
+            }
         }
     }
 
@@ -136,8 +177,11 @@ impl<'a, R: Read> RowReader<'a, R> {
 pub(super) struct CsvRow<'a> {
     path: &'a Path,
     decimal: DecimalMark,
+    /// Line of a text; row of any other file.
     pub(super) line: u64,
     pub(super) fields: StringRecord,
+    /// Numbers of a row that is no text.
+    numbers: Vec<f64>,
 }
 
 impl CsvRow<'_> {
@@ -157,7 +201,11 @@ impl CsvRow<'_> {
     /// Returns the number of a field; `None` for an empty field or NaN, which many tools write for missing values.
     pub(super) fn number(&self, column: &CsvColumn) -> Result<Option<f64>, RecordingError> {
         let text = self.text(column.index);
-        if text.is_empty() {
+        let number = self.numbers.get(column.index).map(|number| number * column.factor);
+        if let Some(number) = number.filter(|number| number.is_finite()) {
+            return Ok(Some(number));
+        }
+        if text.is_empty() && number.is_none_or(f64::is_nan) {
             return Ok(None);
         }
         match parse_number(text, self.decimal) {

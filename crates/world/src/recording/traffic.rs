@@ -1,7 +1,6 @@
 //! Rows of tracks, as in highD and NGSIM: each row holds one vehicle among many at one instant.
 
 use std::collections::{BTreeSet, HashMap};
-use std::io::Read;
 
 use super::consistency::{Comparison, Hypothesis};
 use super::dropped::{DroppedItem, Omission};
@@ -17,8 +16,8 @@ const MAX_LANES: usize = 10_000;
 const MAX_ID_BYTES: usize = 200;
 
 /// Reads the rows after the column names.
-pub(super) fn read<R: Read>(
-    table: &mut RowReader<'_, R>,
+pub(super) fn read(
+    table: &mut RowReader<'_>,
     (map, spec): (&RecordingMapSpec, &TracksSpec),
     names: &CsvRow<'_>,
 ) -> Result<Recording, RecordingError> {
@@ -95,8 +94,8 @@ pub(super) fn read<R: Read>(
 }
 
 /// Compares sorted positions with speeds. Returns whether they agree.
-fn check<R: Read>(
-    table: &RowReader<'_, R>,
+fn check(
+    table: &RowReader<'_>,
     (map, spec): (&RecordingMapSpec, &TracksSpec),
     (points, time_factor): (&[TrackPoint], f64),
     dropped: &mut Vec<DroppedItem>,

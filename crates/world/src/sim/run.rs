@@ -258,7 +258,7 @@ impl Run {
         vehicles.iter().enumerate().map(frame).collect()
     }
 
-    fn ego(&self, index: usize) -> Ego {
+    pub(crate) fn ego(&self, index: usize) -> Ego {
         let vehicle = &self.scenario.vehicles()[index];
         Ego {
             vehicle: index,
@@ -296,7 +296,7 @@ impl Run {
         }
     }
 
-    fn start_controller(&self, index: usize, kind: &ControllerKind) -> AnyController {
+    pub(crate) fn start_controller(&self, index: usize, kind: &ControllerKind) -> AnyController {
         let (ego, seed) = (self.ego(index), self.scenario.spec().seed);
         match kind {
             ControllerKind::BuiltIn(spec) => AnyController::from_spec(spec, &ego, seed),

@@ -165,7 +165,7 @@ impl DistinctFailure {
             dt_fragile: found.dt_fragile,
             found_by: found.found_by.clone(),
             found_at: found.found_at,
-            changed: found.changed.iter().map(format_change).collect(),
+            changed: found.changed.iter().map(ChangedParameter::to_string).collect(),
             text,
             openscenario: None,
         }
@@ -233,9 +233,4 @@ impl DistinctFailure {
             (AvoidabilityClass::NotAsked, _) => "not examined".to_owned(),
         }
     }
-}
-
-fn format_change(changed: &ChangedParameter) -> String {
-    let unit = if changed.unit == "1" { String::new() } else { format!(" {}", changed.unit) };
-    format!("{} {}{}", changed.parameter, changed.value, unit.trim_end())
 }

@@ -50,8 +50,8 @@ fn scripted_action(
     let start_mps = scenario.vehicles().get(index).map_or(0.0, |vehicle| vehicle.speed_mps);
     let step_s = scenario.spec().step_s;
     let brake = |onset_s: f64, wanted_mps2: f64, final_speed_mps| match wanted_mps2.min(usable_mps2) {
-        // With a rate of 0 the action would never end.
-        rate_mps2 if rate_mps2 > 0.0 && final_speed_mps < start_mps => {
+        // With a rate of 0 the action would never end; after the end of the scenario it would never begin.
+        rate_mps2 if rate_mps2 > 0.0 && final_speed_mps < start_mps && onset_s < scenario.spec().duration_s => {
             // In the step of the onset, the limit applies to the mean of the script: less braking is cut off.
             let step_end_s = ((onset_s / step_s).floor() + 1.0) * step_s;
             let braking_s = ((step_end_s - onset_s) * wanted_mps2 / rate_mps2).min(step_s);

@@ -182,6 +182,7 @@ impl CampaignRun<'_> {
             if points.is_empty() || !points.iter().all(|point| terms.cube.contains(point)) {
                 return Err(CampaignError::InvalidPoints(method.name().to_owned()));
             }
+            points.iter_mut().for_each(|point| *point = space.search_point(point));
             let mut verdicts = Vec::with_capacity(points.len());
             while verdicts.len() < points.len()
                 && let Some(verdict) = self.journal.next_verdict()?

@@ -73,6 +73,9 @@ impl<'a> Examiner<'a> {
             let mut failed = None;
             let mut holds = |values: &[f64]| {
                 let mut still = || -> Result<bool, CampaignError> {
+                    if !self.config.space.is_in_search_region(&self.config.space.point(values)) {
+                        return Ok(false);
+                    }
                     let scenario = self.tidy(values)?;
                     let verdict = self.evaluate(&scenario, 1, ask)?;
                     let as_hard = verdict.robustness <= most;

@@ -22,8 +22,9 @@ mod records;
 mod severity;
 mod shrink;
 
-use std::fmt::Write;
+use std::fmt::{self, Write};
 
+use crumple_core::digits::format_rounded;
 use serde::{Deserialize, Serialize};
 
 pub use avoidability::{Avoidability, AvoidabilityAnalysis, AvoidabilityClass};
@@ -99,6 +100,26 @@ pub struct ChangedParameter {
     pub value: String,
     /// Unit.
     pub unit: String,
+    /// Smallest and largest observed value, if the value is outside them, in a space fitted to recordings.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub outside_observed: Option<[f64; 2]>,
+}
+
+/// Writes the parameter as `name value unit`, with the observed range if the value is outside it.
+impl fmt::Display for ChangedParameter {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { parameter, value, unit, outside_observed } = self;
+        write!(out, "{parameter} {value}")?;
+        if !matches!(unit.as_str(), "1" | "") {
+            write!(out, " {unit}")?;
+        }
+        match outside_observed {
+            Some([low, high]) => {
+                write!(out, " (outside the observed {} to {})", format_rounded(*low, 3), format_rounded(*high, 3))
+            }
+            None => Ok(()),
+        }
+    }
 }
 
 impl Counterexample {
@@ -128,11 +149,7 @@ impl Counterexample {
         if let Some(words) = self.avoidability.describe() {
             writeln!(out, "      {words}")?;
         }
-        let show = |changed: &ChangedParameter| {
-            let unit = if changed.unit == "1" { String::new() } else { format!(" {}", changed.unit) };
-            format!("{} {}{}", changed.parameter, changed.value, unit.trim_end())
-        };
-        let changed: Vec<_> = self.changed.iter().map(show).collect();
+        let changed: Vec<_> = self.changed.iter().map(ToString::to_string).collect();
         let changed =
             if changed.is_empty() { "nothing: the nominal scenario fails".to_owned() } else { changed.join(", ") };
         writeln!(out, "      differs from nominal: {changed}")

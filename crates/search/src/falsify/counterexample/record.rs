@@ -224,6 +224,7 @@ impl Recorder<'_> {
                     parameter: name.to_owned(),
                     value: parameter.format_value(value),
                     unit,
+                    outside_observed: self.config.space.extrapolated_range(name, value),
                 });
             };
             match own {

@@ -5,13 +5,13 @@ use crate::measure::severity::impacts_of;
 use crate::sim::{Impact, TIME_TOLERANCE_S, Trace};
 
 #[derive(Clone, Copy)]
-pub(super) struct DriveStep {
-    pub(super) time_s: f64,
-    pub(super) duration_s: f64,
-    pub(super) speed_mps: f64,
-    pub(super) acceleration_mps2: f64,
+pub(crate) struct DriveStep {
+    pub(crate) time_s: f64,
+    pub(crate) duration_s: f64,
+    pub(crate) speed_mps: f64,
+    pub(crate) acceleration_mps2: f64,
     /// State relative to the leader at the start of the step; `None` without a leader.
-    pub(super) ahead: Option<PairState>,
+    pub(crate) ahead: Option<PairState>,
 }
 
 impl DriveStep {

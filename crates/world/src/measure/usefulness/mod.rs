@@ -10,7 +10,8 @@ mod unnecessary;
 use serde::{Deserialize, Serialize};
 
 pub use amplification::{MIN_DEVIATION_MPS, SETTLED_TOLERANCE_MPS, SpeedAmplification};
-use drive::{DriveStep, drive_steps};
+pub(crate) use drive::DriveStep;
+use drive::drive_steps;
 pub use unnecessary::{
     BrakeInstant, CAUSE_LASTS_S, EASY_BRAKE_MPS2, HARD_BRAKE_MPS2, MAX_FOLLOWING_TIME_GAP_S, MIN_BRAKING_S,
     MIN_BRAKING_SPEED_MPS, UNNECESSARY_MARGIN_MPS2, UnnecessaryBraking, justified_brake_mps2,

@@ -104,7 +104,8 @@ impl UnnecessaryBraking {
         drive_steps(trace, impacts, index).map(|steps| Self::from_steps_where(steps, exceeds_limit))
     }
 
-    pub(super) fn from_steps(steps: impl Iterator<Item = DriveStep>) -> Self {
+    /// Measures the braking of a drive.
+    pub(crate) fn from_steps(steps: impl Iterator<Item = DriveStep>) -> Self {
         Self::from_steps_where(steps, |brake| brake.brake_mps2 > brake.justified_mps2 + UNNECESSARY_MARGIN_MPS2)
     }
 

@@ -28,8 +28,16 @@ impl RecordingMap {
     /// # Errors
     /// [`FileError`] for text that is not a valid map.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, FileError> {
-        let spec: RecordingMapSpec = parse_toml(text, path)?;
-        check(&spec).map_err(|(field, problem)| FileError::from_field(path, text, &field, problem))?;
+        let mut spec: RecordingMapSpec = parse_toml(text, path)?;
+        if let (Some(dbc), Some(folder)) = (&mut spec.dbc, path.parent()) {
+            *dbc = folder.join(&*dbc);
+        }
+        Self::new(spec).map_err(|(field, problem)| FileError::from_field(path, text, &field, problem))
+    }
+
+    /// Checks a map. The error is the first invalid field, with its problem.
+    pub(in crate::recording) fn new(spec: RecordingMapSpec) -> Result<Self, (String, String)> {
+        check(&spec)?;
         Ok(Self { spec })
     }
 

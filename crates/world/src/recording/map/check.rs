@@ -1,8 +1,9 @@
 //! Validation of maps.
 
+use super::super::platoons::column_number;
 use super::{LayoutSpec, LengthSpec, PairsSpec, PlatoonSpec, RecordingMapSpec, Spacing, TimeSpec};
 
-const MAP_VERSION: u32 = 1;
+pub(super) const MAP_VERSION: u32 = 1;
 const MAX_TEXT_LENGTH: usize = 200;
 const MAX_LINES_BEFORE_NAMES: usize = 1000;
 /// Longest hole that may be interpolated, in seconds.
@@ -49,7 +50,29 @@ pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
     Ok(())
 }
 
+/// Role of a column of a file in a map.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(in crate::recording) struct ColumnRole {
+    /// A column of times.
+    pub(in crate::recording) is_clock: bool,
+    /// An id of a vehicle, a lane or an event.
+    pub(in crate::recording) is_id: bool,
+    /// A column of spacings or positions.
+    pub(in crate::recording) is_spacing: bool,
+}
+
 impl RecordingMapSpec {
+    /// Returns the role of a column; `None` if the map does not name it.
+    pub(in crate::recording) fn column_role(&self, name: &str) -> Option<ColumnRole> {
+        let is_named = |column: &str| column == name || column_number(name, column).is_some();
+        let (field, _) = self.columns().into_iter().find(|(_, column)| is_named(column))?;
+        Some(ColumnRole {
+            is_clock: field == "time.clock.column",
+            is_id: field.ends_with(".event") || field.ends_with(".vehicle") || field.ends_with(".lane"),
+            is_spacing: field.ends_with("spacing.column") || field.ends_with("position.column"),
+        })
+    }
+
     /// Returns every field that names a column, with the name.
     pub(super) fn columns(&self) -> Vec<(&'static str, &str)> {
         let time = match &self.time {

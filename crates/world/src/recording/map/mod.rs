@@ -4,6 +4,8 @@ mod built_in;
 mod check;
 mod units;
 
+use std::path::PathBuf;
+
 use serde::{Deserialize, Serialize};
 
 pub use built_in::{BUILT_IN_MAPS, RecordingMap};
@@ -28,6 +30,9 @@ pub struct RecordingMapSpec {
     /// Mark of decimals. Default: detected.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub decimal: Option<DecimalMark>,
+    /// DBC file that describes the raw CAN frames of MDF files; a relative path starts at the folder of the map.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub dbc: Option<PathBuf>,
     /// Time of each row.
     pub time: TimeSpec,
     /// Longest hole that is interpolated linearly, in seconds. Default 0: none.
@@ -36,6 +41,23 @@ pub struct RecordingMapSpec {
     pub interpolate_s: f64,
     /// Content of a row.
     pub layout: LayoutSpec,
+}
+
+impl RecordingMapSpec {
+    /// Returns the text of a map file.
+    ///
+    /// # Errors
+    /// [`toml::ser::Error`] in principle, if the writer fails.
+    pub fn to_toml(&self) -> Result<String, toml::ser::Error> {
+        toml::to_string(self)
+    }
+
+    /// Creates a map with detected separators and without interpolation.
+    pub(in crate::recording) fn new(name: String, time: TimeSpec, layout: LayoutSpec) -> Self {
+        let version = check::MAP_VERSION;
+        let (lines_before_names, delimiter, decimal, dbc, interpolate_s) = Default::default();
+        Self { version, name, lines_before_names, delimiter, decimal, dbc, time, interpolate_s, layout }
+    }
 }
 
 /// Time of a row.

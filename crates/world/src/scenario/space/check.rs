@@ -5,6 +5,7 @@ use std::path::Path;
 use super::copula::Copula;
 use super::field::{FieldTarget, ParameterField, VehicleField};
 use super::marginal::CoordinateMarginal;
+use super::region::LikelihoodRegion;
 use super::spec::{Base, ParameterSpec, ParameterValue, SPACE_VERSION, SpaceSpec, ValueKind};
 use super::{ScenarioSpace, SpaceParameter};
 use crate::control::StartRefusal;
@@ -102,8 +103,8 @@ impl ScenarioSpace {
                 vehicle.position_m = base.initial_gap_m(index).unwrap_or(vehicle.position_m);
             }
         }
-        let mut space =
-            Self { spec, template, uses_gaps: lines_up, parameters: Vec::new(), order: Vec::new(), copula: None };
+        let (parameters, order) = (Vec::new(), Vec::new());
+        let mut space = Self { spec, template, uses_gaps: lines_up, parameters, order, copula: None, region: None };
         let mut written: Vec<(String, String)> = Vec::new();
         for index in 0..space.spec.parameters.len() {
             space.add_parameter(index, &mut written)?;
@@ -128,6 +129,7 @@ impl ScenarioSpace {
         }
         if let Some(observed) = &space.spec.observed {
             observed.check(&space.spec)?;
+            space.region = LikelihoodRegion::new(&space, observed);
         }
         Ok(space)
     }

@@ -1,6 +1,6 @@
 //! Dependence of parameters: a Gaussian copula.
 
-use nalgebra::DMatrix;
+use nalgebra::{DMatrix, DVector};
 use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, Normal as Gauss};
 
@@ -80,6 +80,22 @@ impl Copula {
             }
         }
         depending
+    }
+
+    /// Returns the coordinates that depend on each other.
+    pub(super) fn coordinates(&self) -> impl Iterator<Item = usize> {
+        self.coordinates.iter().copied()
+    }
+
+    /// Replaces scores of dependent coordinates by independent ones, for CDF values `below`.
+    pub(super) fn decorrelate(&self, below: &[f64], scores: &mut [f64]) {
+        let depending = DVector::from_vec(self.normal_scores(below));
+        let Some(independent) = self.cholesky_factor.solve_lower_triangular(&depending) else { return };
+        for (&place, &score) in self.coordinates.iter().zip(independent.iter()) {
+            if let Some(found) = scores.get_mut(place) {
+                *found = score;
+            }
+        }
     }
 
     /// Returns the logarithm of the copula density at CDF values `below`: ln c(u) = −½ ln det R − ½ zᵀ (R⁻¹ − 1) z.

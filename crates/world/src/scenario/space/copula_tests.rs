@@ -132,4 +132,21 @@ proptest! {
         prop_assert!(space.scenario_at(&point).is_ok());
         prop_assert!(!space.ln_likelihood(&point).is_nan());
     }
+    /// Searches stay in the region, which contains the stated share of random scenarios, and reach its surface.
+    #[test]
+    fn searches_stay_in_the_likelihood_region(
+        point in prop::collection::vec(prop_oneof![Just(0.0), Just(1.0), 0.0..1.0f64], 3),
+        share in 0.5..0.9999f64,
+        seed in 0..1000u64,
+    ) {
+        let all = space(SPACE).unwrap();
+        let space = space(&SPACE.replace("waves", &format!("search_share = {share}\nwaves"))).unwrap();
+        let evaluated = space.search_point(&point);
+        prop_assert!(space.is_in_search_region(&evaluated), "{evaluated:?}");
+        prop_assert_eq!(&evaluated[2..], &point[2..], "a parameter that was not observed stays free");
+        prop_assert_eq!(&all.search_point(&point), &point);
+        let inside = (0..400).filter(|&index| space.is_in_search_region(&all.draw_point(seed, index))).count();
+        let deviation = (share * (1.0 - share) / 400.0).sqrt();
+        prop_assert!((inside as f64 / 400.0 - share).abs() < 5.0 * deviation + 0.004, "{inside} for {share}");
+    }
 }

@@ -60,6 +60,7 @@ mod marginal;
 mod numeric_fields;
 mod observed;
 mod parameter_distribution;
+mod region;
 mod spec;
 #[cfg(test)]
 mod tests;
@@ -81,6 +82,7 @@ pub use spec::{
 use self::copula::Copula;
 use self::field::FieldTarget;
 use self::marginal::CoordinateMarginal;
+use self::region::LikelihoodRegion;
 use self::spec::ValueKind;
 use super::{InvalidField, Scenario, ScenarioSpec, VehicleClass};
 use crate::random::{self, Purpose};
@@ -105,6 +107,8 @@ pub struct ScenarioSpace {
     order: Vec<usize>,
     /// Dependence of coordinates.
     copula: Option<Copula>,
+    /// Region of searches in a fitted space.
+    region: Option<LikelihoodRegion>,
 }
 
 /// A parameter of a space.

@@ -57,6 +57,11 @@ pub struct ObservedData {
     /// together.
     #[serde(rename = "waves")]
     pub braking_clusters: Vec<u32>,
+    /// Share of the distribution in the likelihood region in which searches stay: from 0.5, below 1. Default: searches
+    /// use the whole ranges.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[cfg_attr(feature = "schema", schemars(range(min = 0.5)))]
+    pub search_share: Option<f64>,
     /// All parameters, or some.
     pub parameters: Vec<ObservedParameter>,
 }
@@ -134,6 +139,12 @@ impl ObservedData {
             return reject(
                 "observed.waves",
                 format!("must be below the number of episodes, {episodes}, found {cluster}"),
+            );
+        }
+        if let Some(found) = self.search_share.filter(|share| !(0.5..1.0).contains(share)) {
+            return reject(
+                "observed.search_share",
+                format!("must be from 0.5, below 1, found {}", format_compact(found)),
             );
         }
         if let Some(exposure) = &space.exposure

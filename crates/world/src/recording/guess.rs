@@ -1,0 +1,204 @@
+//! A draft of a map, from the names and units of the columns and from their consistency.
+
+use std::path::Path;
+
+use super::dropped::Omission;
+use super::error::RecordingError;
+use super::map::{
+    ClockSpec, LayoutSpec, LengthColumnSpec, LengthSpec, LengthUnit, PairsSpec, PositionSpec, RecordingMap,
+    RecordingMapSpec, ReferencePoint, RelativeSpeedSpec, Sign, Spacing, SpacingSpec, SpeedSpec, SpeedUnit, TimeSpec,
+    TracksSpec,
+};
+use super::{LineProblem, Recording, binary, load};
+
+/// Words in the names of columns, in lower case.
+const TIMES: &[&str] = &["time", "timestamp", "t", "zeit", "sec", "seconds"];
+const SPACINGS: &[&str] = &["gap", "spacing", "distance", "dist", "range", "clearance", "headway", "abstand"];
+const RELATIVE: &[&str] = &["rel", "relative", "closing", "rangerate", "dv", "deltav", "relspeed", "relativespeed"];
+const SPEEDS: &[&str] = &["speed", "velocity", "vel", "v", "geschwindigkeit", "mps", "kmh", "kph", "mph", "xvelocity"];
+const LEADERS: &[&str] = &["lead", "leader", "target", "front", "preceding", "ahead", "object", "obj", "tgt"];
+const VEHICLES: &[&str] = &["id", "vehicle", "track", "trackid", "vehicleid"];
+const LANES: &[&str] = &["lane", "laneid"];
+const POSITIONS: &[&str] = &["x", "y", "pos", "position", "s", "station", "localy"];
+const LENGTHS: &[&str] = &["length", "len"];
+
+/// A map that fits a recording.
+#[derive(Debug)]
+pub struct MapDraft {
+    /// The map.
+    pub map: RecordingMapSpec,
+    /// The recording, read with it.
+    pub recording: Recording,
+}
+
+/// Columns of a file with the words of their names.
+struct Columns(Vec<(String, Vec<String>)>);
+
+impl Columns {
+    /// Returns the first column with one of the words, and with none of `without`.
+    fn find(&self, words: &[&str], without: &[&[&str]]) -> Option<&String> {
+        self.find_both(words, words, without)
+    }
+
+    fn find_both(&self, words: &[&str], others: &[&str], without: &[&[&str]]) -> Option<&String> {
+        let fits = |(_, found): &&(String, Vec<String>)| {
+            let has = |words: &[&str]| found.iter().any(|word| words.contains(&word.as_str()));
+            has(words) && has(others) && !without.iter().any(|not| has(not))
+        };
+        self.0.iter().find(fits).map(|(name, _)| name)
+    }
+
+    /// Returns the names of units, first those in the names of columns.
+    fn units_by_name(&self, all: &[(&'static str, f64)], columns: [Option<&String>; 3]) -> Vec<&'static str> {
+        let is_in_name = |unit: &str| {
+            let word = unit.replace('/', "");
+            columns.into_iter().flatten().any(|column| words(column).contains(&word))
+        };
+        let mut units: Vec<&str> = all.iter().map(|(name, _)| *name).collect();
+        units.sort_by_key(|unit| !is_in_name(unit));
+        units
+    }
+}
+
+/// Splits a name into words in lower case, at punctuation and where capitals begin; also the words joined in pairs.
+fn words(name: &str) -> Vec<String> {
+    let mut words: Vec<String> = Vec::new();
+    let mut is_open = false;
+    let mut was_lower = false;
+    for letter in name.chars() {
+        if !letter.is_alphanumeric() {
+            is_open = false;
+        } else {
+            if !is_open || (letter.is_uppercase() && was_lower) {
+                words.push(String::new());
+            }
+            is_open = true;
+            words.iter_mut().last().into_iter().for_each(|word| word.extend(letter.to_lowercase()));
+        }
+        was_lower = letter.is_lowercase();
+    }
+    let joined: Vec<String> = words.windows(2).map(|pair| pair.concat()).collect();
+    words.extend(joined);
+    words
+}
+
+/// Returns the unit that a map names so.
+fn unit_named<U: serde::de::DeserializeOwned>(name: &str) -> Option<U> {
+    serde_json::from_value(name.into()).ok()
+}
+
+/// Returns the candidate maps, the likeliest first.
+fn candidates(columns: &Columns) -> Vec<RecordingMapSpec> {
+    let Some(time) = columns.find(TIMES, &[SPACINGS]) else { return Vec::new() };
+    let spacing = columns.find(SPACINGS, &[RELATIVE, TIMES]);
+    let relative = columns.find(RELATIVE, &[]);
+    let leader = columns.find_both(SPEEDS, LEADERS, &[RELATIVE, SPACINGS]);
+    let own = columns.find(SPEEDS, &[RELATIVE, LEADERS, TIMES, SPACINGS]);
+    let position = columns.find(POSITIONS, &[SPEEDS]);
+    let mut maps = Vec::new();
+    let speed_units = columns.units_by_name(SpeedUnit::ALL, [own, leader, relative]);
+    let length_units = columns.units_by_name(LengthUnit::ALL, [spacing, position, None]);
+    for &speed_unit in &speed_units {
+        for &unit in &length_units {
+            let (Some(speed_unit), Some(unit)) = (unit_named(speed_unit), unit_named(unit)) else {
+                continue;
+            };
+            let speed = |column: &String| SpeedSpec { column: column.clone(), unit: speed_unit };
+            let from = Spacing::BumperToBumper;
+            let mut add = |layout| {
+                let time = TimeSpec::Clock(ClockSpec { column: time.clone(), unit: None });
+                maps.push(RecordingMapSpec::new("draft".to_owned(), time, layout));
+            };
+            let vehicle = columns.find(VEHICLES, &[LANES, TIMES]);
+            if let (Some(vehicle), Some(position), Some(own)) = (vehicle, position, own) {
+                let length = columns.find(LENGTHS, &[]).cloned().map(|name| LengthColumnSpec { name, unit });
+                add(LayoutSpec::Tracks(TracksSpec {
+                    vehicle: vehicle.clone(),
+                    lane: columns.find(LANES, &[]).cloned(),
+                    position: PositionSpec { column: position.clone(), unit, of: ReferencePoint::Front },
+                    speed: speed(own),
+                    length: length.map_or(LengthSpec::Metres(super::CAR_LENGTH_M), LengthSpec::Column),
+                    lane_blip_s: 0.5,
+                }));
+                continue;
+            }
+            let Some(spacing) = spacing else { continue };
+            for sign in [Sign::LeaderMinusFollower, Sign::FollowerMinusLeader] {
+                let relative_speed =
+                    relative.map(|name| RelativeSpeedSpec { column: name.clone(), unit: speed_unit, sign });
+                if relative_speed.is_none() && sign == Sign::FollowerMinusLeader {
+                    continue;
+                }
+                add(LayoutSpec::Pairs(PairsSpec {
+                    event: None,
+                    spacing: SpacingSpec { column: spacing.clone(), unit, from },
+                    length_m: None,
+                    follower_speed: own.map(speed),
+                    leader_speed: leader.map(speed),
+                    relative_speed,
+                }));
+            }
+        }
+    }
+    maps
+}
+
+/// Drafts a map of a recording: the first candidate whose columns do not contradict each other. `None` if no candidate
+/// can be read.
+///
+/// # Errors
+/// [`RecordingError`] for a file that cannot be read with any map.
+pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
+    let names = binary::column_names(path)?;
+    let columns = Columns(names.into_iter().map(|name| (name.clone(), words(&name))).collect());
+    let mut second_choice = None;
+    for map in candidates(&columns) {
+        let Ok(checked) = RecordingMap::new(map.clone()) else { continue };
+        match load(path, Some(&checked)) {
+            Ok(recording) => {
+                let contradicts = |what: &Omission| {
+                    matches!(what, Omission::ColumnsContradict(_) | Omission::SpeedsContradict { .. })
+                };
+                let is_consistent = !recording.dropped.iter().any(|dropped| contradicts(&dropped.omission));
+                let draft = MapDraft { map, recording };
+                if is_consistent {
+                    return Ok(Some(draft));
+                }
+                second_choice.get_or_insert(draft);
+            }
+            Err(RecordingError::Line { problem: LineProblem::Column { .. }, .. }) => {}
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(second_choice)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Units and signs follow from the consistency of gaps and speeds, whatever the names say.
+    #[test]
+    fn drafts_read_the_speeds_of_the_recording() {
+        let folder = tempfile::tempdir().unwrap();
+        for (unit, mps) in SpeedUnit::ALL {
+            for sign in [1.0, -1.0] {
+                let mut text = "Zeit [s];Abstand [m];v_ego;v_rel\n".to_owned();
+                let mut gap_m = 40.0;
+                for tenth in 0..400 {
+                    let at_s = f64::from(tenth) / 10.0;
+                    let (own_mps, relative_mps) = (20.0 + (0.3 * at_s).sin(), 12.0 * (0.5 * at_s).cos());
+                    text += &format!("{at_s};{gap_m};{};{}\n", own_mps / mps, sign * relative_mps / mps);
+                    gap_m += 0.1 * relative_mps;
+                }
+                let path = folder.path().join("log.csv");
+                std::fs::write(&path, text.replace('.', ",")).unwrap();
+                let draft = guess(&path).unwrap().expect("a draft");
+                let speed_mps = draft.recording.platoons[0].vehicles[1].speed_mps[50].unwrap();
+                assert!((speed_mps - 20.0 - 1.5_f64.sin()).abs() < 0.3, "{unit} {sign}: {speed_mps} {:?}", draft.map);
+                let again = RecordingMap::from_toml(&draft.map.to_toml().unwrap(), Path::new("draft.toml")).unwrap();
+                assert_eq!(*again.spec(), draft.map);
+            }
+        }
+    }
+}

@@ -1,0 +1,237 @@
+//! Blocks of an MDF 4 file: links, data, texts, and lists of data blocks.
+
+use std::collections::HashSet;
+use std::io::{self, Read, Seek, SeekFrom};
+
+use flate2::read::ZlibDecoder;
+
+use super::{MdfError, MdfSource};
+
+/// Maximum size of a block without samples.
+const MAX_BLOCK_BYTES: u64 = 1 << 20;
+/// Maximum size of a compressed block, before and after; writers compress at most 4 MiB at once.
+const MAX_COMPRESSED_BYTES: u64 = 64 << 20;
+const CHUNK_BYTES: u64 = 1 << 20;
+const HEADER_BYTES: u64 = 24;
+/// Maximum number of blocks of a list; 4 MiB each for a petabyte.
+const MAX_DATA_BLOCKS: usize = 1 << 28;
+
+pub(super) struct Blocks {
+    source: Box<dyn MdfSource>,
+    length: u64,
+    /// Blocks that may occur only once, so that links form no circle.
+    visited: HashSet<u64>,
+}
+
+pub(super) struct Block {
+    at: u64,
+    links: Vec<u64>,
+    data: Vec<u8>,
+}
+
+/// Type of a block: the two letters after `##`.
+type BlockType = [u8; 2];
+
+struct Header {
+    kind: BlockType,
+    bytes: u64,
+    links: u64,
+}
+
+impl Blocks {
+    pub(super) fn new(mut source: Box<dyn MdfSource>) -> Result<Self, MdfError> {
+        let length = source.seek(SeekFrom::End(0))?;
+        let mut blocks = Self { source, length, visited: HashSet::new() };
+        let identification = blocks.bytes(0, 64)?;
+        let version = little_endian(&identification, 28, 2).unwrap_or(0);
+        if !(400..500).contains(&version) {
+            return Err(MdfError::Unsupported("a version of MDF other than 4".to_owned()));
+        }
+        if identification.starts_with(b"UnFinMF") {
+            return Err(MdfError::Unsupported(
+                "an unfinished file: finalise it with the program that wrote it".to_owned(),
+            ));
+        }
+        Ok(blocks)
+    }
+
+    pub(super) fn bytes(&mut self, at: u64, count: u64) -> Result<Vec<u8>, MdfError> {
+        if at.checked_add(count).is_none_or(|end| end > self.length) {
+            return Err(damaged(at, "the file ends before the block"));
+        }
+        let mut bytes = vec![0; count as usize];
+        self.source.seek(SeekFrom::Start(at))?;
+        self.source.read_exact(&mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn header(&mut self, at: u64) -> Result<Header, MdfError> {
+        let header = self.bytes(at, HEADER_BYTES)?;
+        let [b'#', b'#', first, second, ..] = header[..] else { return Err(damaged(at, "no block begins here")) };
+        let (bytes, links) = (little_endian(&header, 8, 8).unwrap_or(0), little_endian(&header, 16, 8).unwrap_or(0));
+        if bytes < HEADER_BYTES || links > (bytes - HEADER_BYTES) / 8 {
+            return Err(damaged(at, "the length of the block is wrong"));
+        }
+        Ok(Header { kind: [first, second], bytes, links })
+    }
+
+    /// Returns a block of a known type; `None` for an empty link.
+    pub(super) fn find(&mut self, at: u64, kind: &BlockType) -> Result<Option<Block>, MdfError> {
+        if at == 0 { Ok(None) } else { self.read(at, kind).map(Some) }
+    }
+
+    /// Returns a block that only one link may name.
+    pub(super) fn find_once(&mut self, at: u64, kind: &BlockType) -> Result<Option<Block>, MdfError> {
+        if at != 0 && !self.visited.insert(at) {
+            return Err(damaged(at, "two links name the block"));
+        }
+        self.find(at, kind)
+    }
+
+    /// Returns true if a link names a channel.
+    pub(super) fn is_channel(&mut self, at: u64) -> bool {
+        at != 0 && self.header(at).is_ok_and(|header| &header.kind == b"CN")
+    }
+
+    pub(super) fn read(&mut self, at: u64, kind: &BlockType) -> Result<Block, MdfError> {
+        let header = self.header(at)?;
+        if header.kind != *kind || header.bytes > MAX_BLOCK_BYTES {
+            return Err(damaged(at, "the block is of another type or too long"));
+        }
+        let content = self.bytes(at + HEADER_BYTES, header.bytes - HEADER_BYTES)?;
+        let (links, data) = content.split_at(8 * header.links as usize);
+        let links = links.chunks_exact(8).map(|link| little_endian(link, 0, 8).unwrap_or(0)).collect();
+        Ok(Block { at, links, data: data.to_vec() })
+    }
+
+    /// Returns the text of a text block, or of the first `TX` element of a metadata block; empty for an empty link.
+    pub(super) fn text(&mut self, at: u64) -> Result<String, MdfError> {
+        if at == 0 {
+            return Ok(String::new());
+        }
+        let kind = self.header(at)?.kind;
+        if !matches!(&kind, b"TX" | b"MD") {
+            return Err(damaged(at, "the block is no text"));
+        }
+        let block = self.read(at, &kind)?;
+        let text = String::from_utf8_lossy(&block.data);
+        let text = text.split('\0').next().unwrap_or_default();
+        let element = text.split_once("<TX>").and_then(|(_, rest)| rest.split_once("</TX>"));
+        Ok(element.map_or(text, |(inner, _)| inner).trim().to_owned())
+    }
+
+    /// Returns the offsets of the data blocks behind a link, in order.
+    pub(super) fn data_blocks(&mut self, mut at: u64) -> Result<Vec<u64>, MdfError> {
+        let mut offsets = Vec::new();
+        while at != 0 {
+            if !self.visited.insert(at) {
+                return Err(damaged(at, "two links name the block"));
+            }
+            match &self.header(at)?.kind {
+                b"DT" | b"DZ" => {
+                    offsets.push(at);
+                    break;
+                }
+                b"HL" => at = self.read(at, b"HL")?.link(0),
+                b"DL" => {
+                    let list = self.read(at, b"DL")?;
+                    offsets.extend(list.links.iter().skip(1).filter(|link| **link != 0));
+                    at = list.link(0);
+                }
+                b"LD" | b"DV" => return Err(MdfError::Unsupported("samples stored by column".to_owned())),
+                _ => return Err(damaged(at, "the block holds no samples")),
+            }
+            if offsets.len() > MAX_DATA_BLOCKS {
+                return Err(damaged(at, "the list of data blocks is too long"));
+            }
+        }
+        Ok(offsets)
+    }
+
+    /// Passes the content of a data block, in chunks.
+    pub(super) fn read_data(
+        &mut self,
+        at: u64,
+        take: &mut dyn FnMut(&[u8]) -> Result<(), MdfError>,
+    ) -> Result<(), MdfError> {
+        let header = self.header(at)?;
+        match &header.kind {
+            b"DT" => {
+                let (mut from, end) = (at + HEADER_BYTES + 8 * header.links, at.saturating_add(header.bytes));
+                while from < end {
+                    let count = CHUNK_BYTES.min(end - from);
+                    take(&self.bytes(from, count)?)?;
+                    from += count;
+                }
+                Ok(())
+            }
+            b"DZ" => take(&self.decompress(at)?),
+            _ => Err(damaged(at, "the block holds no samples")),
+        }
+    }
+
+    fn decompress(&mut self, at: u64) -> Result<Vec<u8>, MdfError> {
+        let fields = self.bytes(at + HEADER_BYTES, 24)?;
+        let number = |from, count| little_endian(&fields, from, count).unwrap_or(0);
+        let (kind, columns, original, compressed) = (number(2, 1), number(4, 4), number(8, 8), number(16, 8));
+        if kind > 1 {
+            return Err(MdfError::Unsupported("a compression other than deflate".to_owned()));
+        }
+        if original.max(compressed) > MAX_COMPRESSED_BYTES {
+            return Err(damaged(at, "the compressed block is too long"));
+        }
+        let packed = self.bytes(at + HEADER_BYTES + 24, compressed)?;
+        let mut plain = Vec::with_capacity(original as usize);
+        let unpacked = ZlibDecoder::new(&packed[..]).take(original).read_to_end(&mut plain);
+        if unpacked.is_err() || plain.len() as u64 != original {
+            return Err(damaged(at, "the compressed block cannot be decompressed"));
+        }
+        let (columns, rows) = (columns as usize, plain.len().checked_div(columns as usize).unwrap_or(0));
+        if kind == 1 && columns > 1 && rows > 1 {
+            let mut rows_first = plain.clone();
+            for (index, byte) in plain.iter().take(columns * rows).enumerate() {
+                rows_first[index % rows * columns + index / rows] = *byte;
+            }
+            return Ok(rows_first);
+        }
+        Ok(plain)
+    }
+}
+
+impl Block {
+    pub(super) fn link(&self, index: usize) -> u64 {
+        self.links.get(index).copied().unwrap_or(0)
+    }
+
+    /// Returns an unsigned number of the data.
+    pub(super) fn number(&self, from: usize, count: usize) -> Result<u64, MdfError> {
+        little_endian(&self.data, from, count).ok_or_else(|| damaged(self.at, "the block is too short"))
+    }
+
+    /// Returns all 64-bit floating point numbers of the data from an offset on.
+    pub(super) fn floats(&self, from: usize) -> Vec<f64> {
+        let bytes = self.data.get(from..).unwrap_or_default();
+        bytes.chunks_exact(8).map(|eight| f64::from_bits(little_endian(eight, 0, 8).unwrap_or(0))).collect()
+    }
+
+    pub(super) fn damaged(&self, problem: &'static str) -> MdfError {
+        damaged(self.at, problem)
+    }
+}
+
+fn damaged(offset: u64, problem: &'static str) -> MdfError {
+    MdfError::Damaged { offset, problem }
+}
+
+/// Returns an unsigned number of up to 8 bytes.
+pub(super) fn little_endian(bytes: &[u8], from: usize, count: usize) -> Option<u64> {
+    let mut padded = [0; 8];
+    padded.get_mut(..count)?.copy_from_slice(bytes.get(from..from.checked_add(count)?)?);
+    Some(u64::from_le_bytes(padded))
+}
+
+impl From<io::Error> for MdfError {
+    fn from(error: io::Error) -> Self {
+        Self::Read(error.to_string())
+    }
+}

@@ -1,0 +1,237 @@
+//! Groups of channels with a common clock, and the records of their data.
+
+use std::ops::Range;
+
+use super::blocks::{Block, Blocks, little_endian};
+use super::can::FrameDecoder;
+use super::channel::Channel;
+use super::{MAX_CHANNELS, MdfError, SignalSet};
+use can_dbc::MessageId;
+
+const MAX_RECORD_BYTES: usize = 1 << 20;
+/// Bit of an identifier of 32 bits that marks an extended one.
+const EXTENDED_ID: u64 = 1 << 31;
+const FLAG_VARIABLE_LENGTH: u64 = 1;
+const FLAG_REMOTE_MASTER: u64 = 1 << 3;
+const MASTER: u64 = 2;
+const VIRTUAL_MASTER: u64 = 3;
+const BYTE_ARRAY: u64 = 10;
+
+/// Groups whose records are in the same data blocks.
+pub(super) struct DataGroup {
+    id_bytes: usize,
+    groups: Vec<Group>,
+    /// Bytes of an incomplete record.
+    rest: Vec<u8>,
+}
+
+struct Group {
+    id: u64,
+    /// Bytes of a record without its id.
+    record_bytes: usize,
+    /// True if records are single values of variable length, which crumple skips.
+    has_variable_length: bool,
+    /// Clock in the set of signals, and its channel.
+    clock: Option<(usize, Channel)>,
+    /// Wanted channels, with their signals.
+    channels: Vec<(usize, Channel)>,
+    frames: Option<FrameLayout>,
+    rows: usize,
+}
+
+/// Channels of a group of CAN frames.
+struct FrameLayout {
+    id: Channel,
+    is_extended: Option<Channel>,
+    length: Option<Channel>,
+    /// First byte and number of bytes of the data.
+    data: [usize; 2],
+}
+
+impl DataGroup {
+    pub(super) fn read(
+        blocks: &mut Blocks,
+        block: &Block,
+        wanted: &dyn Fn(&str) -> bool,
+        (decoder, signals): (&FrameDecoder, &mut SignalSet),
+    ) -> Result<Self, MdfError> {
+        let id_bytes = block.number(0, 1)? as usize;
+        if !matches!(id_bytes, 0 | 1 | 2 | 4 | 8) {
+            return Err(block.damaged("the length of record ids is wrong"));
+        }
+        let (mut groups, mut at) = (Vec::new(), block.link(1));
+        while let Some(group) = blocks.find_once(at, b"CG")? {
+            groups.push(Group::read(blocks, &group, wanted, (decoder, signals))?);
+            at = group.link(0);
+        }
+        if id_bytes == 0 && groups.len() > 1 {
+            return Err(block.damaged("several groups have no record ids"));
+        }
+        Ok(Self { id_bytes, groups, rest: Vec::new() })
+    }
+
+    pub(super) fn is_needed(&self) -> bool {
+        self.groups.iter().any(Group::is_needed)
+    }
+
+    /// Adds the records of a chunk of data.
+    pub(super) fn add(
+        &mut self,
+        bytes: &[u8],
+        decoder: &FrameDecoder,
+        signals: &mut SignalSet,
+    ) -> Result<(), MdfError> {
+        // Records are contiguous, except for one at the border of two chunks.
+        let joined;
+        let mut bytes = if self.rest.is_empty() {
+            bytes
+        } else {
+            self.rest.extend_from_slice(bytes);
+            joined = std::mem::take(&mut self.rest);
+            &joined[..]
+        };
+        while let Some((index, content)) = self.next_record(bytes)? {
+            let end = content.end;
+            self.groups[index].add(&bytes[content], decoder, signals)?;
+            bytes = &bytes[end..];
+        }
+        self.rest.extend_from_slice(bytes);
+        Ok(())
+    }
+
+    /// Returns the index of the group of the first record, and the place of its content, which is empty for a value of
+    /// variable length; `None` if the record is incomplete.
+    fn next_record(&self, bytes: &[u8]) -> Result<Option<(usize, Range<usize>)>, MdfError> {
+        let Some(id) = little_endian(bytes, 0, self.id_bytes).filter(|_| !bytes.is_empty()) else { return Ok(None) };
+        let found = self.groups.iter().position(|group| self.id_bytes == 0 || group.id == id);
+        let unknown = MdfError::Damaged { offset: 0, problem: "a record has an unknown id" };
+        let index = found.ok_or(unknown)?;
+        let group = &self.groups[index];
+        if group.has_variable_length {
+            let length = little_endian(bytes, self.id_bytes, 4).map(|length| self.id_bytes + 4 + length as usize);
+            if length.is_some_and(|length| length > MAX_RECORD_BYTES) {
+                return Err(MdfError::Damaged { offset: 0, problem: "the length of a record is wrong" });
+            }
+            return Ok(length.filter(|length| *length <= bytes.len()).map(|length| (index, length..length)));
+        }
+        let end = self.id_bytes + group.record_bytes;
+        Ok((end <= bytes.len()).then_some((index, self.id_bytes..end)))
+    }
+
+    pub(super) fn finish(&self, block: &Block) -> Result<(), MdfError> {
+        if self.rest.is_empty() { Ok(()) } else { Err(block.damaged("the samples end inside a record")) }
+    }
+}
+
+impl Group {
+    fn read(
+        blocks: &mut Blocks,
+        block: &Block,
+        wanted: &dyn Fn(&str) -> bool,
+        (decoder, signals): (&FrameDecoder, &mut SignalSet),
+    ) -> Result<Self, MdfError> {
+        let (id, flags) = (block.number(0, 8)?, block.number(16, 2)?);
+        let (data_bytes, invalid_bytes) = (block.number(24, 4)?, block.number(28, 4)?);
+        let has_variable_length = flags & FLAG_VARIABLE_LENGTH != 0;
+        let record_bytes = (data_bytes + invalid_bytes) as usize;
+        let mut group =
+            Self { id, record_bytes, has_variable_length, clock: None, channels: Vec::new(), frames: None, rows: 0 };
+        if has_variable_length {
+            return Ok(group);
+        }
+        if !(1..=MAX_RECORD_BYTES).contains(&record_bytes) {
+            return Err(block.damaged("the length of a record is wrong"));
+        }
+        let clock = signals.add_clock();
+        let (mut frame_id, mut is_extended, mut length, mut data) = (None, None, None, None);
+        let mut pending = vec![block.link(1)];
+        let mut channels = 0;
+        while let Some(at) = pending.pop() {
+            let Some(channel) = blocks.find_once(at, b"CN")? else { continue };
+            channels += 1;
+            if channels > MAX_CHANNELS {
+                return Err(channel.damaged("the group has too many channels"));
+            }
+            pending.push(channel.link(0));
+            // Members of a structure; arrays are no signals.
+            if blocks.is_channel(channel.link(1)) {
+                pending.push(channel.link(1));
+            }
+            let name = blocks.text(channel.link(2))?;
+            let kind = channel.number(0, 1)?;
+            let is_clock = matches!(kind, MASTER | VIRTUAL_MASTER) && channel.number(1, 1)? == 1;
+            let part = name.strip_prefix("CAN_DataFrame.").filter(|_| !decoder.is_empty());
+            if part == Some("DataBytes") {
+                let place = [channel.number(4, 4)?, channel.number(8, 4)? / 8].map(|number| number as usize);
+                if kind == 1 || channel.number(2, 1)? != BYTE_ARRAY {
+                    return Err(MdfError::Unsupported("CAN frames whose data is stored elsewhere".to_owned()));
+                }
+                data = Some(place);
+            }
+            if !(is_clock || part.is_some() || wanted(&name)) {
+                continue;
+            }
+            let Some(read) = Channel::read(blocks, &channel, data_bytes)? else { continue };
+            match part {
+                _ if is_clock => group.clock = Some((clock, read)),
+                Some("ID") => frame_id = Some(read),
+                Some("IDE") => is_extended = Some(read),
+                Some("DataLength") => length = Some(read),
+                Some(_) => {}
+                None => group.channels.push((signals.add(read.name.clone(), read.unit.clone(), clock), read)),
+            }
+        }
+        if let (Some(id), Some(data)) = (frame_id, data) {
+            group.frames = Some(FrameLayout { id, is_extended, length, data });
+        }
+        if group.is_needed() && (group.clock.is_none() || flags & FLAG_REMOTE_MASTER != 0) {
+            return Err(MdfError::Unsupported("signals without a clock in their group".to_owned()));
+        }
+        Ok(group)
+    }
+
+    fn is_needed(&self) -> bool {
+        !self.channels.is_empty() || self.frames.is_some()
+    }
+
+    fn add(&mut self, record: &[u8], decoder: &FrameDecoder, signals: &mut SignalSet) -> Result<(), MdfError> {
+        let Some((clock, master)) = self.clock.as_ref().filter(|_| self.is_needed()) else { return Ok(()) };
+        let time_s = master.value(record, self.rows);
+        if !self.channels.is_empty() {
+            signals.count(1 + self.channels.len())?;
+            signals.clocks_s[*clock].push(time_s);
+            for (signal, channel) in &self.channels {
+                signals.signals[*signal].values.push(channel.value(record, self.rows));
+            }
+        }
+        if let Some(layout) = &self.frames {
+            for (signal, value) in layout.decode(record, decoder) {
+                signals.count(2)?;
+                let signal = &mut signals.signals[signal];
+                signals.clocks_s[signal.clock].push(time_s);
+                signal.values.push(value);
+            }
+        }
+        self.rows += 1;
+        Ok(())
+    }
+}
+
+impl FrameLayout {
+    /// Returns the signals of a frame and their values.
+    fn decode<'d>(&self, record: &'d [u8], decoder: &'d FrameDecoder) -> impl Iterator<Item = (usize, f64)> + use<'d> {
+        let id = self.id.raw(record);
+        let is_extended = match &self.is_extended {
+            Some(flag) => flag.raw(record) != 0,
+            None => id & EXTENDED_ID != 0 || id > 0x7ff,
+        };
+        let id = match is_extended {
+            true => MessageId::Extended((id & 0x1fff_ffff) as u32),
+            false => MessageId::Standard((id & 0x7ff) as u16),
+        };
+        let [from, count] = self.data;
+        let count = self.length.as_ref().map_or(count, |length| count.min(length.raw(record) as usize));
+        let frame = record.get(from..from + count).unwrap_or_default();
+        decoder.get(&id).into_iter().flatten().filter_map(move |signal| signal.decode(frame))
+    }
+}

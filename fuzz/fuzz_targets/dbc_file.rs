@@ -1,0 +1,6 @@
+#![no_main]
+
+use crumple_fuzzing::{Violation, targets};
+use libfuzzer_sys::fuzz_target;
+
+fuzz_target!(|bytes: &[u8]| targets::dbc_file(bytes).unwrap_or_else(|violation: Violation| violation.panic()));

@@ -1,0 +1,185 @@
+//! `crumple replay`: the commands of a controller on recorded drives, beside what the drivers did.
+
+use std::fmt::Write;
+use std::path::PathBuf;
+
+use clap::Args;
+use serde::Serialize;
+
+use super::import::{load_map, note_text_format, parse_min_brake};
+use super::simulate::OutputFormat;
+use super::{CliError, args, output};
+use crumple_core::digits::format_rounded;
+use crumple_core::quoting::TerminalText;
+use crumple_evidence::exposure::IntervalEstimate;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::recording::load;
+use crumple_world::recording::replay::{ReplayedBraking, ReplayedDrive, replay};
+use crumple_world::sim::{NamedController, RunOptions};
+
+/// Maximum number of brakings that the text lists; the hardest ones.
+const MAX_LISTED: usize = 20;
+
+/// Run a controller open loop on recorded drives: where it would have braked, and how hard
+#[derive(Args)]
+#[command(after_long_help = "\
+Reads the same recordings as `crumple import`. The controller replaces each vehicle with a recorded leader. It \
+observes the recorded gaps, speeds and accelerations, and its commands change nothing. Each braking that it would \
+have begun is listed beside the driver's hardest braking until one second later. Braking is unnecessary as in \
+assessments (docs/limits.md): more than 2 m/s² beyond the deceleration that the vehicle ahead justifies. Rates have \
+exact 95 % intervals of Poisson counts, which assume that unnecessary brakings are independent. Braking that would \
+have prevented a situation does not show, because the recorded driver keeps the distance.
+
+Examples:
+  crumple replay platoon.csv --controller acc-aeb
+  crumple replay log.mf4 --map log.toml --controller aeb.toml --format json")]
+pub(super) struct LogReplay {
+    /// Recordings
+    #[arg(required = true, value_name = "RECORDING")]
+    recordings: Vec<PathBuf>,
+    /// Controller: built-in (see `crumple list controllers`), a policy file, a network, a controller file (F.toml), or
+    /// a command after `exec:`
+    #[arg(long, value_name = "C", value_parser = args::parse_controller)]
+    controller: NamedController,
+    /// Meanings of the columns: a file (docs/exchange.md), or openacc, highd, ngsim or sumo-fcd
+    #[arg(long, value_name = "MAP.toml|NAME")]
+    map: Option<PathBuf>,
+    /// Deceleration that counts as braking of the controller, in m/s² [default: 1.3]
+    #[arg(long, value_name = "A", allow_hyphen_values = true)]
+    min_brake: Option<f64>,
+    /// Output format
+    #[arg(long, value_enum, default_value = "text")]
+    format: OutputFormat,
+}
+
+#[derive(Serialize)]
+struct ReplayReport {
+    controller: String,
+    min_brake_mps2: f64,
+    drives: usize,
+    hours: f64,
+    kilometres: f64,
+    brakings: Vec<BrakingReport>,
+    unnecessary: UnnecessaryReport,
+    /// Of the recorded drivers, for comparison.
+    unnecessary_of_drivers: UnnecessaryReport,
+}
+
+#[derive(Serialize)]
+struct BrakingReport {
+    recording: String,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    event: Option<String>,
+    vehicle: usize,
+    from_s: f64,
+    duration_s: f64,
+    brake_mps2: f64,
+    driver_brake_mps2: f64,
+    speed_mps: f64,
+    gap_m: f64,
+}
+
+/// Unnecessary brakings, with their rates and the exact intervals at 95 %.
+#[derive(Serialize)]
+struct UnnecessaryReport {
+    count: u64,
+    seconds: f64,
+    per_hour: IntervalEstimate,
+    per_100_km: IntervalEstimate,
+}
+
+impl BrakingReport {
+    fn new(recording: &str, drive: &ReplayedDrive, braking: &ReplayedBraking) -> Self {
+        let &ReplayedBraking { from_s, duration_s, brake_mps2, driver_brake_mps2, speed_mps, gap_m } = braking;
+        let (recording, event, vehicle) = (recording.to_owned(), drive.event.clone(), drive.vehicle.number);
+        Self { recording, event, vehicle, from_s, duration_s, brake_mps2, driver_brake_mps2, speed_mps, gap_m }
+    }
+}
+
+impl LogReplay {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+        let map = self.map.as_deref().map(load_map).transpose()?;
+        let min_brake = parse_min_brake(self.min_brake)?.mps2();
+        let options = RunOptions::new(self.controller.kind.clone()).with_estimator(EstimatorKind::Truth);
+        let (mut drives, mut brakings) = (Vec::new(), Vec::new());
+        for path in &self.recordings {
+            let recording = load(path, map.as_ref())?;
+            note_text_format(path, &recording.text, quiet);
+            recording.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
+            let name = path.display().to_string();
+            let replayed = replay(&recording, &options, min_brake).map_err(|error| CliError::at(path, error))?;
+            for drive in &replayed {
+                brakings.extend(drive.brakings.iter().map(|braking| BrakingReport::new(&name, drive, braking)));
+            }
+            drives.extend(replayed);
+        }
+        self.controller.ensure_trusted().map_err(CliError::input)?;
+        if drives.is_empty() {
+            return Err(CliError::Gate("no vehicle follows another for a second".to_owned()));
+        }
+        let hours = drives.iter().map(|drive| drive.duration_s).sum::<f64>() / 3600.0;
+        let kilometres = drives.iter().map(|drive| drive.distance_m).sum::<f64>() / 1000.0;
+        let unnecessary = |which: usize| {
+            let count = drives.iter().map(|drive| drive.unnecessary[which].count as u64).sum();
+            UnnecessaryReport {
+                count,
+                seconds: drives.iter().map(|drive| drive.unnecessary[which].time_s).sum(),
+                per_hour: IntervalEstimate::poisson_rate(count, hours),
+                per_100_km: IntervalEstimate::poisson_rate(count, kilometres / 100.0),
+            }
+        };
+        let report = ReplayReport {
+            controller: self.controller.name.clone(),
+            min_brake_mps2: min_brake,
+            drives: drives.len(),
+            hours,
+            kilometres,
+            brakings,
+            unnecessary: unnecessary(0),
+            unnecessary_of_drivers: unnecessary(1),
+        };
+        output::print_result(self.format, &report, || format_report(&report))
+    }
+}
+
+fn format_report(report: &ReplayReport) -> String {
+    let mut text = String::new();
+    let _ = write_report(report, &mut text);
+    text
+}
+
+fn write_report(report: &ReplayReport, out: &mut String) -> std::fmt::Result {
+    let ReplayReport { controller, min_brake_mps2, drives, hours, kilometres, brakings, .. } = report;
+    writeln!(out, "{drives} drives behind a leader: {hours:.3} h, {kilometres:.2} km")?;
+    let (name, count) = (TerminalText(controller), brakings.len());
+    writeln!(out, "{name} would have braked {count} times, by at least {min_brake_mps2} m/s²")?;
+    let mut hardest: Vec<_> = brakings.iter().collect();
+    hardest.sort_by(|a, b| b.brake_mps2.total_cmp(&a.brake_mps2));
+    if !hardest.is_empty() {
+        writeln!(
+            out,
+            "  {:>6} {:>6} {:>6} {:>6} {:>7} {:>7}  vehicle",
+            "m/s²", "driver", "for s", "m/s", "gap m", "from s"
+        )?;
+    }
+    for one in hardest.iter().take(MAX_LISTED) {
+        let BrakingReport { vehicle, from_s, duration_s, brake_mps2, driver_brake_mps2, speed_mps, gap_m, .. } = one;
+        let event = one.event.as_ref().map(|event| format!(", event {event}")).unwrap_or_default();
+        let place = format!("{vehicle}{event} of {}", one.recording);
+        write!(out, "  {brake_mps2:>6.2} {driver_brake_mps2:>6.2} {duration_s:>6.2} {speed_mps:>6.2} {gap_m:>7.2}")?;
+        writeln!(out, " {from_s:>7.2}  {}", TerminalText(&place))?;
+    }
+    if count > MAX_LISTED {
+        writeln!(out, "  {} more with --format json", count - MAX_LISTED)?;
+    }
+    for (who, found) in [("controller", &report.unnecessary), ("drivers", &report.unnecessary_of_drivers)] {
+        let rate = |IntervalEstimate { estimate, lower, upper }: IntervalEstimate| {
+            format!("{} ({} to {})", format_rounded(estimate, 3), format_rounded(lower, 3), format_rounded(upper, 3))
+        };
+        let UnnecessaryReport { count, seconds, per_hour, per_100_km } = found;
+        let (per_hour, per_100_km) = (rate(*per_hour), rate(*per_100_km));
+        writeln!(out, "unnecessary braking of the {who}: {count} times, {seconds:.2} s in all")?;
+        writeln!(out, "  per hour {per_hour}, per 100 km {per_100_km}, at 95 %")?;
+    }
+    Ok(())
+}
