@@ -131,8 +131,9 @@ impl TrainingConfig {
         let parameters: u64 = widths.windows(2).map(|pair| (pair[0] + 1) * pair[1]).sum();
         let draws = self.evaluation.screening_draws + self.evaluation.ranking_draws + self.evaluation.usefulness_draws;
         let float_bytes = |count: u64| count.saturating_mul(size_of::<f32>() as u64);
-        // The replay memory and its checkpoint.
-        let replay = 2 * (self.transition_layout().width() as u64 + 1) * self.replay.capacity as u64;
+        // The replay memory and its checkpoint. Without episodes it stays empty.
+        let capacity = if self.episodes > 0 { self.replay.capacity as u64 } else { 0 };
+        let replay = 2 * (self.transition_layout().width() as u64 + 1) * capacity;
         [
             ("network.hidden", float_bytes(NETWORK_COPIES * parameters)),
             ("learning.batch", float_bytes(BATCH_COPIES * self.learning.batch as u64 * widths.iter().sum::<u64>())),

@@ -35,7 +35,7 @@ pub(super) struct AssignedController {
     pub(super) properties: Vec<(String, String)>,
 }
 
-/// Names of the properties in which crumple's export states delays, in the order of [`Entity::delays_s`].
+/// Names of the properties in which crumple's export states delays, in the order of `Entity::delays_s`.
 pub const DELAY_PROPERTIES: [&str; 3] = ["reaction_delay_s", "actuator_lag_s", "actuator_delay_s"];
 
 pub(super) fn read_entities(node: Node<'_>, files: &SourceFiles<'_>) -> Result<Vec<Entity>> {
