@@ -20,7 +20,7 @@ use crumple_world::sim::{NamedController, RunOptions};
 /// Maximum number of brakings that the text lists; the hardest ones.
 const MAX_LISTED: usize = 20;
 
-/// Run a controller open loop on recorded drives: where and how hard it would have braked
+/// Run a controller open loop on recorded drives: where and how hard it would brake
 #[derive(Args)]
 #[command(after_long_help = "\
 Reads the same recordings as `crumple import`. The controller replaces each vehicle with a recorded leader. It \
