@@ -181,7 +181,7 @@ pub fn load(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, Record
 /// Reads the bytes of a recording file; `path` only names it.
 ///
 /// # Errors
-/// As [`load`].
+/// Those of [`load`], except for reading the file.
 pub fn read_bytes(bytes: &[u8], path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
     match binary::BinaryFormat::detect(bytes) {
         Some(format) => {

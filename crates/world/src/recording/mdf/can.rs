@@ -58,7 +58,7 @@ impl DbcFile {
     /// Parses the bytes of a DBC file in UTF-8 or Windows-1252; `path` only names it.
     ///
     /// # Errors
-    /// As [`DbcFile::load`].
+    /// [`MdfError::Dbc`] if the text is no DBC file, or exceeds a limit.
     pub fn parse(bytes: &[u8], path: &Path) -> Result<Self, MdfError> {
         let error = |problem: String| MdfError::Dbc { path: path.to_owned(), problem };
         if bytes.len() as u64 > MAX_DBC_BYTES {
