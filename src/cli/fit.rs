@@ -87,6 +87,16 @@ fn parse_space_path(path: &str) -> Result<PathBuf, String> {
     if path.ends_with(".toml") { Ok(PathBuf::from(path)) } else { Err("must end in .toml".to_owned()) }
 }
 
+/// Refuses duplicates, which would count episodes and hours twice and understate the uncertainty.
+pub(super) fn ensure_distinct(recordings: &[PathBuf]) -> Result<(), CliError> {
+    let mut known = BTreeSet::new();
+    let mut is_again = |path: &&PathBuf| path.canonicalize().is_ok_and(|file| !known.insert(file));
+    match recordings.iter().find(|path| is_again(path)) {
+        Some(path) => Err(CliError::at(path, "this recording is given twice")),
+        None => Ok(()),
+    }
+}
+
 impl Fit {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let map = self.map.as_deref().map(load_map).transpose()?;
@@ -95,12 +105,9 @@ impl Fit {
             min_brake: parse_min_brake(self.min_brake)?,
             leaders: self.leaders,
         };
-        let (mut recordings, mut known) = (Vec::new(), BTreeSet::new());
+        ensure_distinct(&self.recordings)?;
+        let mut recordings = Vec::new();
         for path in &self.recordings {
-            // A duplicate would count episodes and hours twice and understate the uncertainty.
-            if !path.canonicalize().is_ok_and(|file| known.insert(file)) && path.exists() {
-                return Err(CliError::at(path, "this recording is given twice"));
-            }
             let recording = load(path, map.as_ref())?;
             recording.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
             recordings.push(recording);

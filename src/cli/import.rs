@@ -168,7 +168,7 @@ impl Import {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         if let Some(file) = self.recordings.iter().find(|path| is_openscenario(path)) {
             let is_alone = self.recordings.len() == 1 && self.map.is_none() && self.preview.is_none();
-            if !is_alone || self.min_brake.is_some() {
+            if !is_alone || self.min_brake.is_some() || self.guess {
                 let problem = "give an OpenSCENARIO file alone, with --ego, --distribution, --out and --force only";
                 return Err(CliError::at(file, problem));
             }

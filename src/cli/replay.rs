@@ -6,6 +6,7 @@ use std::path::PathBuf;
 use clap::Args;
 use serde::Serialize;
 
+use super::fit::ensure_distinct;
 use super::import::{load_map, note_text_format, parse_min_brake};
 use super::simulate::OutputFormat;
 use super::{CliError, args, output};
@@ -85,7 +86,9 @@ struct UnnecessaryReport {
     count: u64,
     seconds: f64,
     per_hour: IntervalEstimate,
-    per_100_km: IntervalEstimate,
+    /// None if the vehicles stand.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    per_100_km: Option<IntervalEstimate>,
 }
 
 impl BrakingReport {
@@ -101,6 +104,7 @@ impl LogReplay {
         let map = self.map.as_deref().map(load_map).transpose()?;
         let min_brake = parse_min_brake(self.min_brake)?.mps2();
         let options = RunOptions::new(self.controller.kind.clone()).with_estimator(EstimatorKind::Truth);
+        ensure_distinct(&self.recordings)?;
         let (mut drives, mut brakings) = (Vec::new(), Vec::new());
         for path in &self.recordings {
             let recording = load(path, map.as_ref())?;
@@ -125,7 +129,7 @@ impl LogReplay {
                 count,
                 seconds: drives.iter().map(|drive| drive.unnecessary[which].time_s).sum(),
                 per_hour: IntervalEstimate::poisson_rate(count, hours),
-                per_100_km: IntervalEstimate::poisson_rate(count, kilometres / 100.0),
+                per_100_km: (kilometres > 0.0).then(|| IntervalEstimate::poisson_rate(count, kilometres / 100.0)),
             }
         };
         let report = ReplayReport {
@@ -173,11 +177,12 @@ fn write_report(report: &ReplayReport, out: &mut String) -> std::fmt::Result {
         writeln!(out, "  {} more with --format json", count - MAX_LISTED)?;
     }
     for (who, found) in [("controller", &report.unnecessary), ("drivers", &report.unnecessary_of_drivers)] {
-        let rate = |IntervalEstimate { estimate, lower, upper }: IntervalEstimate| {
-            format!("{} ({} to {})", format_rounded(estimate, 3), format_rounded(lower, 3), format_rounded(upper, 3))
+        let rate = |IntervalEstimate { estimate, lower, upper }: &IntervalEstimate| {
+            let [estimate, lower, upper] = [estimate, lower, upper].map(|value| format_rounded(*value, 3));
+            format!("{estimate} ({lower} to {upper})")
         };
         let UnnecessaryReport { count, seconds, per_hour, per_100_km } = found;
-        let (per_hour, per_100_km) = (rate(*per_hour), rate(*per_100_km));
+        let (per_hour, per_100_km) = (rate(per_hour), per_100_km.as_ref().map_or("not defined".to_owned(), rate));
         writeln!(out, "unnecessary braking of the {who}: {count} times, {seconds:.2} s in all")?;
         writeln!(out, "  per hour {per_hour}, per 100 km {per_100_km}, at 95 %")?;
     }

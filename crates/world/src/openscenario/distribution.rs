@@ -1,5 +1,6 @@
 //! Files with distributions of parameter values.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 use std::rc::Rc;
 
@@ -60,16 +61,28 @@ impl ParameterDistributionFile {
             return Err(file.refuse(format!("the distributions are for `{stated}`, not for `{}`", scenario.display())));
         }
         let (mut axes, mut random) = (Vec::new(), Vec::new());
+        let mut known = BTreeSet::new();
+        let mut add_names = |node: Node<'_>, names: BTreeSet<String>| match names.intersection(&known).next() {
+            Some(name) => Err(node.refuse(format!("the parameter `{name}` has two distributions"))),
+            None => {
+                known.extend(names);
+                Ok(())
+            }
+        };
         if let Some(list) = holder.optional("Deterministic") {
             for one in list.children() {
-                axes.push(read_deterministic(one)?);
+                let axis = read_deterministic(one)?;
+                add_names(one, axis.iter().flatten().map(|(name, _)| name.clone()).collect())?;
+                axes.push(axis);
             }
         }
         if let Some(list) = holder.optional("Stochastic") {
             list.only(&["StochasticDistribution"], &["numberOfTestRuns", "randomSeed"])?;
             for one in list.children() {
                 one.only(&["NormalDistribution", "UniformDistribution", "Histogram"], &["parameterName"])?;
-                random.push((one.text("parameterName")?, read_random(one.single()?)?));
+                let name = one.text("parameterName")?;
+                add_names(one, BTreeSet::from([name.clone()]))?;
+                random.push((name, read_random(one.single()?)?));
             }
         }
         if axes.is_empty() == random.is_empty() {

@@ -234,6 +234,12 @@ value="300"/></ParameterValueSet></ValueSetDistribution></DeterministicMultiPara
     let uniform = r#"<UniformDistribution><Range lowerLimit="50" upperLimit="60"/></UniformDistribution>"#;
     let refused = source.space(None, &stochastic("speed", uniform).unwrap()).unwrap_err().to_string();
     assert!(refused.contains("`speed` changes vehicles[0].speed_mps, vehicles[1].speed_mps, not"), "{refused}");
+    let twice = distributions(
+        r#"<Stochastic numberOfTestRuns="9"><StochasticDistribution parameterName="rate"><NormalDistribution
+expectedValue="4" variance="1"/></StochasticDistribution><StochasticDistribution parameterName="rate">
+<NormalDistribution expectedValue="5" variance="1"/></StochasticDistribution></Stochastic>"#,
+    );
+    assert!(twice.unwrap_err().ends_with("StochasticDistribution: the parameter `rate` has two distributions"));
     let refused = stochastic("rate", r#"<PoissonDistribution expectedValue="4"/>"#).unwrap_err();
     assert!(refused.ends_with("PoissonDistribution: is not supported in `StochasticDistribution`"), "{refused}");
 }

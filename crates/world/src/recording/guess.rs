@@ -7,7 +7,7 @@ use super::error::RecordingError;
 use super::map::{
     ClockSpec, LayoutSpec, LengthColumnSpec, LengthSpec, LengthUnit, PairsSpec, PositionSpec, RecordingMap,
     RecordingMapSpec, ReferencePoint, RelativeSpeedSpec, Sign, Spacing, SpacingSpec, SpeedSpec, SpeedUnit, TimeSpec,
-    TracksSpec,
+    TimeUnit, TracksSpec,
 };
 use super::{LineProblem, Recording, binary, load};
 
@@ -18,6 +18,7 @@ const RELATIVE: &[&str] = &["rel", "relative", "closing", "rangerate", "dv", "de
 const SPEEDS: &[&str] = &["speed", "velocity", "vel", "v", "geschwindigkeit", "mps", "kmh", "kph", "mph", "xvelocity"];
 const LEADERS: &[&str] = &["lead", "leader", "target", "front", "preceding", "ahead", "object", "obj", "tgt"];
 const VEHICLES: &[&str] = &["id", "vehicle", "track", "trackid", "vehicleid"];
+const EVENTS: &[&str] = &["event", "eventid", "episode", "episodeid"];
 const LANES: &[&str] = &["lane", "laneid"];
 const POSITIONS: &[&str] = &["x", "y", "pos", "position", "s", "station", "localy"];
 const LENGTHS: &[&str] = &["length", "len"];
@@ -95,7 +96,11 @@ fn candidates(columns: &Columns) -> Vec<RecordingMapSpec> {
     let leader = columns.find_both(SPEEDS, LEADERS, &[RELATIVE, SPACINGS]);
     let own = columns.find(SPEEDS, &[RELATIVE, LEADERS, TIMES, SPACINGS]);
     let position = columns.find(POSITIONS, &[SPEEDS]);
+    let event = columns.find(EVENTS, &[TIMES]);
     let mut maps = Vec::new();
+    // Seconds, and units of epoch times, need no name.
+    let is_named = |(unit, _): &&(&str, f64)| *unit != "s" && words(time).iter().any(|word| word == unit);
+    let time_unit = TimeUnit::ALL.iter().find(is_named).and_then(|(unit, _)| unit_named(unit));
     let speed_units = columns.units_by_name(SpeedUnit::ALL, [own, leader, relative]);
     let length_units = columns.units_by_name(LengthUnit::ALL, [spacing, position, None]);
     for &speed_unit in &speed_units {
@@ -106,7 +111,7 @@ fn candidates(columns: &Columns) -> Vec<RecordingMapSpec> {
             let speed = |column: &String| SpeedSpec { column: column.clone(), unit: speed_unit };
             let from = Spacing::BumperToBumper;
             let mut add = |layout| {
-                let time = TimeSpec::Clock(ClockSpec { column: time.clone(), unit: None });
+                let time = TimeSpec::Clock(ClockSpec { column: time.clone(), unit: time_unit });
                 maps.push(RecordingMapSpec::new("draft".to_owned(), time, layout));
             };
             let vehicle = columns.find(VEHICLES, &[LANES, TIMES]);
@@ -130,7 +135,7 @@ fn candidates(columns: &Columns) -> Vec<RecordingMapSpec> {
                     continue;
                 }
                 add(LayoutSpec::Pairs(PairsSpec {
-                    event: None,
+                    event: event.cloned(),
                     spacing: SpacingSpec { column: spacing.clone(), unit, from },
                     length_m: None,
                     follower_speed: own.map(speed),
@@ -183,17 +188,24 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         for (unit, mps) in SpeedUnit::ALL {
             for sign in [1.0, -1.0] {
-                let mut text = "Zeit [s];Abstand [m];v_ego;v_rel\n".to_owned();
+                let (time, per_second) = if sign > 0.0 { ("Zeit [s]", 1.0) } else { ("zeit_ms", 1000.0) };
+                let mut text = format!("{time};Event;Abstand [m];v_ego;v_rel\n");
                 let mut gap_m = 40.0;
                 for tenth in 0..400 {
                     let at_s = f64::from(tenth) / 10.0;
                     let (own_mps, relative_mps) = (20.0 + (0.3 * at_s).sin(), 12.0 * (0.5 * at_s).cos());
-                    text += &format!("{at_s};{gap_m};{};{}\n", own_mps / mps, sign * relative_mps / mps);
+                    let (own, relative) = (own_mps / mps, sign * relative_mps / mps);
+                    text += &format!("{};a;{gap_m};{own};{relative}\n", at_s * per_second);
                     gap_m += 0.1 * relative_mps;
                 }
                 let path = folder.path().join("log.csv");
                 std::fs::write(&path, text.replace('.', ",")).unwrap();
                 let draft = guess(&path).unwrap().expect("a draft");
+                assert!(
+                    matches!(&draft.map.layout, LayoutSpec::Pairs(pairs) if pairs.event.is_some()),
+                    "{:?}",
+                    draft.map
+                );
                 let speed_mps = draft.recording.platoons[0].vehicles[1].speed_mps[50].unwrap();
                 assert!((speed_mps - 20.0 - 1.5_f64.sin()).abs() < 0.3, "{unit} {sign}: {speed_mps} {:?}", draft.map);
                 let again = RecordingMap::from_toml(&draft.map.to_toml().unwrap(), Path::new("draft.toml")).unwrap();
