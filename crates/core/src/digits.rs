@@ -30,7 +30,11 @@ pub fn format_rounded(number: f64, digits: usize) -> String {
 pub fn format_rounded_up(bound: f64, digits: usize) -> String {
     let (rounded, exponent) = format_scientific(bound, digits);
     match rounded.parse::<f64>() {
-        Ok(shown) if shown < bound => format_rounded(shown + 10f64.powi(exponent + 1 - digits as i32), digits),
+        Ok(shown) if shown < bound => {
+            // Parsed, because powers of ten below 1e-308 are 0 when computed.
+            let step = format!("1e{}", exponent + 1 - digits as i32).parse().unwrap_or(f64::MIN_POSITIVE);
+            format_rounded(shown + step, digits)
+        }
         Ok(shown) => format_rounded(shown, digits),
         Err(_) => rounded,
     }
