@@ -1,6 +1,6 @@
 //! `crumple retrain`: retrains a policy on counterexamples of a search.
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::Instant;
 
@@ -18,6 +18,7 @@ use crumple_learn::retrain::{
 use crumple_learn::rl::TrainingConfig;
 use crumple_report::figures::{RetrainingRound, SelectedCheckpoint, draw_retraining};
 use crumple_search::falsify::Method;
+use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names, file};
 use crumple_world::scenario::space::{BUILT_IN_SPACES, ScenarioSpace, built_in_space};
 use crumple_world::sim::{ControllerKind, NamedController};
 
@@ -26,10 +27,10 @@ const DEFAULTS: RetrainingSettings = RetrainingSettings::DEFAULT;
 /// Retrain a policy on avoidable failures that a search finds; accept no regression
 #[derive(Args)]
 #[command(after_long_help = "\
-Each round searches every --space for collisions of the policy and keeps the avoidable ones. It then trains the \
-policy on these, mixed with random scenarios of the preset's spaces, or of the paper's distribution and the space, and \
-evaluates the best checkpoint. With `[imitation]` in the preset (`road`), the policy imitates the expert in them. It \
-accepts the checkpoint only if no safe scenario of the paper and its distribution fails, collisions on the \
+Each round searches every --space for collisions of the policy, attacks every --scenario, and keeps the avoidable \
+collisions. It then trains the policy on these, mixed with random scenarios of the preset's spaces, or of the paper's \
+distribution and the space, and evaluates the best checkpoint. With `[imitation]` in the preset (`road`), the policy \
+imitates the expert in them. It accepts the checkpoint only if no safe scenario of the paper and its distribution fails, collisions on the \
 validation set do not increase, and the policy is significantly worse in none of the --regression spaces: by \
 collisions and, where `idm` drives without fault, also by hard unnecessary braking and vehicles left behind \
 (McNemar's exact one-sided test on the same random scenarios, p below 0.01). With `useful_draws` in the preset, no \
@@ -55,6 +56,11 @@ pub(super) struct Retrain {
     /// repeated [default: the spaces of the preset, or `high-risk` if it has none]
     #[arg(long, value_name = "S")]
     space: Vec<String>,
+    /// Scenario that each round also attacks, as it is and with the leader's worst-case braking: built-in, a file, or a
+    /// folder, for example of collisions that a fuzz target wrote; may be repeated, `none` for none
+    /// [default: the paper's scenarios with an imitation, otherwise none]
+    #[arg(long, value_name = "F")]
+    scenario: Vec<String>,
     /// Training preset: `retrain`, a preset of `crumple train`, or a TOML file like theirs
     /// [default: `road` for a policy made by imitation, otherwise `retrain`]
     #[arg(long, value_name = "PRESET")]
@@ -140,6 +146,7 @@ impl Retrain {
             initial_policy: first,
             initial_policy_name: name.clone(),
             spaces,
+            attacked: load_attacked(&self.scenario, training.imitation.is_some())?,
             regression_spaces,
             training,
             method: self.method,
@@ -213,6 +220,29 @@ fn check_accepted(report: &RetrainingReport) -> Result<(), CliError> {
     Err(CliError::Gate(format!("no round was accepted: `{}` is unchanged", report.first)))
 }
 
+/// Loads the scenarios of `--scenario`, by default those of the paper if the policy `imitates` an expert.
+fn load_attacked(names: &[String], imitates: bool) -> Result<Vec<Scenario>, CliError> {
+    if names.is_empty() {
+        let names = built_in_scenario_names().map(|(name, _)| name).into_iter().filter(|_| imitates);
+        return Ok(names.filter_map(built_in_scenario).collect());
+    }
+    if names.iter().any(|name| name == "none") {
+        return match names.len() {
+            1 => Ok(Vec::new()),
+            _ => Err(CliError::Input("--scenario: `none` cannot be combined with scenarios".to_owned())),
+        };
+    }
+    let mut scenarios = Vec::new();
+    for name in names {
+        if Path::new(name).is_dir() {
+            scenarios.extend(file::load_all(Path::new(name))?.into_iter().map(|(_, scenario)| scenario));
+        } else {
+            scenarios.push(args::load_scenario(name)?);
+        }
+    }
+    Ok(scenarios)
+}
+
 fn load_regression_spaces(names: &[String]) -> Result<Vec<ScenarioSpace>, CliError> {
     if names.is_empty() {
         return Ok(BUILT_IN_SPACES.iter().filter_map(|(name, ..)| built_in_space(name)).collect());
@@ -276,6 +306,9 @@ impl ProgressLine<'_> {
                 let method = state.method.as_ref().map_or("replay and classification".to_owned(), ToString::to_string);
                 let (done, total, failures) = (state.evaluations, state.total, state.failures);
                 (round, 0.5 * part, format!("{method} in {space}, {done} of {total} runs, {failures} failures"))
+            }
+            RetrainingProgress::Attacking { round, scenarios } => {
+                (round, 0.5, format!("worst-case braking in {scenarios} scenarios"))
             }
             RetrainingProgress::Imitating { round, imitation } => {
                 (round, 1.0, format!("imitation {} of {}", imitation.round, imitation.rounds))

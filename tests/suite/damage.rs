@@ -19,6 +19,7 @@ use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
+use crumple_world::scenario::built_in_scenario;
 use crumple_world::scenario::space::built_in_space;
 use tempfile::TempDir;
 
@@ -91,6 +92,7 @@ fn retraining(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), 
         initial_policy_name: "policy".to_owned(),
         // Collisions in this space are quickly shown to be avoidable.
         spaces: built_in_space("paper").unwrap().into(),
+        attacked: vec![built_in_scenario("paper-1").unwrap()],
         regression_spaces: vec![built_in_space("traffic").unwrap()],
         training: TrainingConfig::parse(&tiny::with_small_memory(&tiny::retraining()), Path::new("tiny")).unwrap(),
         method: Method::Uniform,

@@ -3,8 +3,8 @@
 //! A round of [`RetrainingPlan::run`]:
 //!
 //! 1. **Search.** A campaign ([`crumple_search::falsify::campaign`]) with a fixed budget searches the present policy
-//!    for counterexamples; random scenarios of the space are simulated too. If neither contains an avoidable collision,
-//!    the retraining ends.
+//!    for counterexamples; random scenarios of the space are simulated too, and given scenarios as they are and with
+//!    the leader's worst-case braking. If there is no avoidable collision, the retraining ends.
 //! 2. **Selection of cases.** Distinct counterexamples and random scenarios that ended in a collision become cases if
 //!    they are avoidable: another controller (a witness) passes them, or [`crumple_search::worst_case::avoid()`] finds
 //!    an escape.
@@ -33,6 +33,7 @@
 //! One seed determines everything, on any number of threads and after any interruption.
 
 mod acceptance;
+mod attack;
 mod cases;
 mod corpus;
 mod error;

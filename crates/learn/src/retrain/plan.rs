@@ -7,7 +7,7 @@ use serde::{Deserialize, Serialize};
 
 use super::files::{
     PLAN, POLICY, REPORT_JSON, REPORT_MARKDOWN, REPORT_SVG, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET,
-    space_sha256,
+    scenarios_sha256, space_sha256,
 };
 use super::report::RetrainingReport;
 use super::{RetrainError, SearchedSpaces};
@@ -19,7 +19,7 @@ use crumple_search::falsify::Method;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::random::derived_seed;
-use crumple_world::scenario::PAPER_STEP_S;
+use crumple_world::scenario::{PAPER_STEP_S, Scenario};
 use crumple_world::scenario::space::{ScenarioSpace, SpaceSpec};
 
 /// Version of the file `retrain.toml`.
@@ -34,6 +34,8 @@ pub struct RetrainingPlan {
     pub initial_policy_name: String,
     /// Scenario spaces that are searched for counterexamples.
     pub spaces: SearchedSpaces,
+    /// Further scenarios that each round attacks, as they are and with the leader's worst-case braking.
+    pub attacked: Vec<Scenario>,
     /// Spaces in which no round may make the policy worse, with distinct names.
     pub regression_spaces: Vec<ScenarioSpace>,
     /// Configuration of the learner. The settings replace its number of episodes, and avoidable random scenarios of the
@@ -119,6 +121,8 @@ struct PlanFile<'a> {
     space: Option<&'a SpaceSpec>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     spaces: Vec<SpaceHash<'a>>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    attacked_sha256: Option<String>,
     #[serde(skip_serializing_if = "Vec::is_empty")]
     regression: Vec<SpaceHash<'a>>,
 }
@@ -141,7 +145,7 @@ const IMITATION_RATE_FACTOR: f32 = 0.1;
 
 /// Least factor on rows of the paper's distribution. Acceptance checks unnecessary braking there, and only a factor
 /// above 1 gives hard braking its weight.
-const PAPER_COSTS: f64 = 2.0;
+const PAPER_COSTS: f64 = 30.0;
 
 /// Offsets of the derived seeds of searches and of trainings.
 const SEARCH_SEED_BASE: u64 = 1 << 32;
@@ -196,6 +200,7 @@ impl RetrainingPlan {
             training: &self.training_until(self.training.episodes),
             space: if let [space] = spaces { Some(space.spec()) } else { None },
             spaces: if spaces.len() > 1 { named(spaces)? } else { Vec::new() },
+            attacked_sha256: (!self.attacked.is_empty()).then(|| scenarios_sha256(&self.attacked)).transpose()?,
             regression: named(&self.regression_spaces)?,
         };
         toml::to_string(&file).map_err(RetrainError::encoding)

@@ -34,6 +34,13 @@ pub enum RetrainingProgress {
         /// Number of random scenarios.
         draws: u64,
     },
+    /// Given scenarios are attacked.
+    Attacking {
+        /// Round, from 1.
+        round: u64,
+        /// Number of scenarios.
+        scenarios: usize,
+    },
     /// The learner imitates an expert.
     Imitating {
         /// Round, from 1.

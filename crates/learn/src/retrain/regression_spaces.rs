@@ -141,6 +141,7 @@ mod tests {
             initial_policy: Arc::clone(&first),
             initial_policy_name: "retrained".to_owned(),
             spaces: file::from_toml(QUEUE, Path::new("queue.toml")).unwrap().into(),
+            attacked: Vec::new(),
             regression_spaces: BUILT_IN_SPACES.iter().filter_map(|(name, ..)| built_in_space(name)).collect(),
             training: training_preset().unwrap(),
             method: Method::Uniform,

@@ -46,6 +46,17 @@ pub struct RoundFindings {
     pub counterexamples: Vec<String>,
 }
 
+impl RoundFindings {
+    pub(super) fn count(&mut self, class: AvoidabilityClass) {
+        match class {
+            AvoidabilityClass::Avoidable => self.avoidable += 1,
+            AvoidabilityClass::Unavoidable => self.unavoidable += 1,
+            AvoidabilityClass::Undecided => self.undecided += 1,
+            AvoidabilityClass::NotAsked => {}
+        }
+    }
+}
+
 impl RoundContext<'_> {
     /// Searches for counterexamples, or returns the stored result.
     pub(super) fn search(&self, watch: &RetrainingObserver<'_>) -> Result<RoundFindings, RetrainError> {
@@ -82,17 +93,15 @@ impl RoundContext<'_> {
             found.evaluations += summary.methods.iter().map(|method| method.evaluations).sum::<u64>();
             found.failures += summary.methods.iter().map(|method| method.failures).sum::<u64>();
             for counterexample in &summary.counterexamples {
-                match counterexample.avoidability.class() {
-                    AvoidabilityClass::Avoidable => {
-                        found.avoidable += 1;
-                        found.counterexamples.push(format!("{folder}{}", counterexample.file));
-                    }
-                    AvoidabilityClass::Unavoidable => found.unavoidable += 1,
-                    AvoidabilityClass::Undecided => found.undecided += 1,
-                    AvoidabilityClass::NotAsked => {}
+                let class = counterexample.avoidability.class();
+                found.count(class);
+                if class == AvoidabilityClass::Avoidable {
+                    found.counterexamples.push(format!("{folder}{}", counterexample.file));
                 }
             }
         }
+        watch.notify(&RetrainingProgress::Attacking { round, scenarios: plan.attacked.len() })?;
+        self.attack_scenarios(&mut found)?;
         write_json(self.run_folder, &self.path(FINDINGS), &found)?;
         Ok(found)
     }

@@ -17,7 +17,7 @@ use super::trainer::{Trainer, TrainingError};
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::EASY_BRAKE_MPS2;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::{FrameStack, Network, Policy, Workspace};
+use crumple_world::policy::{FrameStack, Policy, Workspace};
 use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{Run, RunOptions};
@@ -179,8 +179,9 @@ fn find_expert(field: &str, text: &str) -> Result<ControllerSpec, TrainingConfig
 
 impl Trainer {
     /// Fits the actor to the expert, if there is one, and calls `done` after each round. An actor that started from a
-    /// policy drives in the first round, too, and ends with the mean of its weights before and after, which keeps its
-    /// other answers (Wortsman et al., 2022).
+    /// policy drives in the first round, too, and keeps its other answers: in spaces whose costs count more than once it
+    /// imitates the policy instead of the expert (Li and Hoiem, 2018), and it ends with the mean of the weights before
+    /// and after (Wortsman et al., 2022).
     ///
     /// # Errors
     /// [`TrainingError`] if a scenario cannot be run; the error of `done`.
@@ -189,14 +190,15 @@ impl Trainer {
         mut done: impl FnMut(&ImitationRound) -> Result<(), E>,
     ) -> Result<(), E> {
         let Some(imitation) = self.config.imitation.clone() else { return Ok(()) };
-        let initial = self.has_initial_policy.then(|| self.learner.actor.network.clone());
+        let initial = self.has_initial_policy.then(|| self.build_policy(self.learner.actor.network.clone(), 0));
+        let initial = initial.transpose()?;
         let mut rows = Rows::default();
         for round in 0..imitation.rounds {
             let before = (rows.contacts, rows.episodes);
             let wanted = imitation.rows.saturating_mul(u64::from(round) + 1);
             let policy_drives = round > 0 || self.has_initial_policy;
             let driver = policy_drives.then(|| self.build_policy(self.learner.actor.network.clone(), 0)).transpose()?;
-            self.collect(&imitation, driver.as_ref(), wanted, &mut rows)?;
+            self.collect(&imitation, [driver.as_ref(), initial.as_ref()], wanted, &mut rows)?;
             let loss = self.fit(&imitation, &rows, round);
             let (contacts, episodes) = (rows.contacts - before.0, rows.episodes - before.1);
             done(&ImitationRound {
@@ -208,18 +210,21 @@ impl Trainer {
             })?;
         }
         let actor = &mut self.learner.actor;
-        for (new, &old) in actor.network.parameters_mut().iter_mut().zip(initial.iter().flat_map(Network::parameters)) {
-            *new = 0.5 * *new + 0.5 * old;
+        if let Some(initial) = &initial {
+            for (new, &old) in actor.network.parameters_mut().iter_mut().zip(initial.network().parameters()) {
+                *new = 0.5 * *new + 0.5 * old;
+            }
         }
         actor.target = actor.network.clone();
         Ok(())
     }
 
-    /// Adds rows until there are `wanted`. Without a `driver` the expert drives.
+    /// Adds rows until there are `wanted`. Without a `driver` the expert drives. The `initial` policy, if any, replaces
+    /// the expert's answers in spaces whose costs count more than once.
     fn collect(
         &self,
         imitation: &ImitationConfig,
-        driver: Option<&Policy>,
+        [driver, initial]: [Option<&Policy>; 2],
         wanted: u64,
         rows: &mut Rows,
     ) -> Result<(), TrainingError> {
@@ -235,7 +240,7 @@ impl Trainer {
                 let run = Run::new(&scenario, options)?;
                 let episode = TrainingEpisode::new(&run, &constants).with_expert(imitation.expert_estimator);
                 let weight = self.source.cost_multiplier(seed, index) as f32;
-                let mut rows = drive(episode, driver);
+                let mut rows = drive(episode, driver, initial.filter(|_| weight > 1.0));
                 rows.weights.resize(rows.actions.len(), weight);
                 let hard = if weight > 1.0 { hard_action } else { -1.0 };
                 rows.hard_actions.extend(rows.actions.iter().map(|action| action.min(hard)));
@@ -296,12 +301,13 @@ impl Trainer {
     }
 }
 
-/// Drives an episode and records the expert's actions.
-fn drive(mut episode: TrainingEpisode, driver: Option<&Policy>) -> Rows {
+/// Drives an episode and records the actions of the expert, or of `instead`.
+fn drive(mut episode: TrainingEpisode, driver: Option<&Policy>, instead: Option<&Policy>) -> Rows {
     let (mut past, mut space, mut rows) = (FrameStack::default(), Workspace::default(), Rows::default());
     loop {
         let state = episode.observe(&mut past);
         rows.states.extend_from_slice(state);
+        let answer = instead.map(|policy| policy.choose(state, &mut space));
         let outcome = match driver {
             Some(policy) => {
                 let action = policy.choose(state, &mut space);
@@ -309,7 +315,7 @@ fn drive(mut episode: TrainingEpisode, driver: Option<&Policy>) -> Rows {
             }
             None => episode.step_by_expert(),
         };
-        rows.actions.push(outcome.expert_action.unwrap_or_default());
+        rows.actions.push(answer.or(outcome.expert_action).unwrap_or_default());
         rows.is_last.push(outcome.ending != EpisodeEnding::None);
         if outcome.ending != EpisodeEnding::None {
             rows.contacts = u64::from(outcome.ending == EpisodeEnding::Contact);
