@@ -4,9 +4,8 @@
 //! cargo run --release -p crumple-experiments -- both_sides 1000 policy idm acc-aeb runs/seed-0/policy.safetensors
 //! ```
 //! The first argument is the number of random scenarios of each space, with a seed that no training or selection uses.
-//! An argument that ends in `.svg` is a figure: collisions in `high-risk` against jerk in `traffic`. One that ends in
-//! `.csv` is a table of earlier results, such as `reports/front.csv`, to include in the figure. `space=NAME` restricts
-//! the spaces; it may be repeated.
+//! An argument that ends in `.svg` is a figure: collisions in `high-risk` against jerk in `traffic`. `space=NAME`
+//! restricts the spaces; it may be repeated.
 //!
 //! `seed=N` takes other random scenarios, `estimator=truth` shows the true state to the controllers, and `follower=`
 //! changes the vehicle behind: `later` reacts 0.5 s later, `softer` brakes with 0.7 times its deceleration, and
@@ -55,7 +54,6 @@ struct SpaceTotals {
 const EMERGENCY_SPACE: &str = "high-risk";
 const TRAFFIC_SPACE: &str = "traffic";
 
-#[derive(serde::Deserialize)]
 struct ParetoPoint {
     name: String,
     /// RMS jerk in `traffic`.
@@ -63,7 +61,6 @@ struct ParetoPoint {
     /// Share of random scenarios of `high-risk`.
     contacts_percent: f64,
     /// False for a trained policy.
-    #[serde(skip)]
     is_untrained: bool,
 }
 
@@ -77,7 +74,6 @@ struct SpaceComparisonArgs {
     draws: u64,
     controllers: Vec<NamedController>,
     figures: Vec<String>,
-    measured_before: Vec<ParetoPoint>,
     spaces: Vec<&'static str>,
     seed: u64,
     estimator: EstimatorKind,
@@ -125,7 +121,6 @@ impl SpaceComparisonArgs {
             _ => return Err(format!("`{draws}` is no number of draws from 1 to {MAX_DRAWS}").into()),
         };
         let (mut controllers, mut figures, mut spaces) = (Vec::new(), Vec::new(), Vec::new());
-        let mut measured_before = Vec::new();
         let (mut seed, mut estimator, mut follower) = (SEED, EstimatorKind::Kalman, FollowerChange::None);
         for argument in arguments {
             if let Some(number) = argument.strip_prefix("seed=") {
@@ -144,11 +139,6 @@ impl SpaceComparisonArgs {
                 spaces.push(known.ok_or_else(|| format!("there is no built-in space `{name}`"))?.0);
             } else if argument.ends_with(".svg") {
                 figures.push(argument);
-            } else if argument.ends_with(".csv") {
-                let unreadable = |error: csv::Error| format!("{argument}: {error}");
-                let mut table = csv::Reader::from_path(&argument).map_err(unreadable)?;
-                let lines = table.deserialize().collect::<Result<Vec<ParetoPoint>, _>>().map_err(unreadable)?;
-                measured_before.extend(lines);
             } else {
                 controllers.push(NamedController::find_and_try(&argument, Path::new(""))?);
             }
@@ -164,12 +154,12 @@ impl SpaceComparisonArgs {
         {
             return Err(format!("a figure needs the space `{missing}`").into());
         }
-        Ok(Self { draws, controllers, figures, measured_before, spaces, seed, estimator, follower })
+        Ok(Self { draws, controllers, figures, spaces, seed, estimator, follower })
     }
 }
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
-    let SpaceComparisonArgs { draws, controllers, figures, measured_before, spaces, seed, estimator, follower } =
+    let SpaceComparisonArgs { draws, controllers, figures, spaces, seed, estimator, follower } =
         SpaceComparisonArgs::parse(arguments.iter().cloned())?;
     println!(
         "| space | controller | contacts | into the leader | hard | needless | left behind | rms a | rms jerk | \
@@ -223,35 +213,38 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
         let gain = found.map_or("none".to_owned(), |found| format!("{:.2}", found.overall));
         println!("| {} | {gain} |", controller.name);
     }
-    front.extend(measured_before);
     for file in figures {
         std::fs::write(&file, draw_front(&front, draws).document()).map_err(|error| format!("{file}: {error}"))?;
     }
     Ok(())
 }
 
-/// Plots safety against comfort; the lower left corner is best.
+/// Plots safety against comfort on logarithmic axes; the lower left corner is best.
 fn draw_front(front: &[ParetoPoint], draws: u64) -> Svg {
     let frame = PixelRect { left: LEFT_MARGIN + 24.0, top: HEADING_HEIGHT, width: 640.0, height: 360.0 };
-    let most = front.iter().map(|mark| mark.jerk_mps3).fold(0.0, f64::max);
-    let x = Axis::numeric("m/s³", (0.0, 1.1 * most), 8);
-    let title = "Contacts in high-risk (%) against rms of jerk in everyday traffic";
-    let top = front.iter().map(|mark| (mark.contacts_percent / 10.0).ceil() * 10.0).fold(10.0, f64::max);
-    let mut panel = Panel::new(frame, title, x, Axis::numeric("", (0.0, top), 6));
-    let apart = |a: &(f64, f64), b: &(f64, f64)| ((a.0 - b.0) / most).hypot((a.1 - b.1) / top);
+    let axis = |unit: &str, ticks: &[f64]| {
+        let ends = (ticks[0].log10(), ticks[ticks.len() - 1].log10());
+        Axis::with_ticks(unit, ends, ticks.iter().map(|tick| (tick.log10(), tick.to_string())).collect())
+    };
+    let title = "Collisions in high-risk (%) against rms of jerk in everyday traffic";
+    let (x, y) = ([0.1, 0.2, 0.5, 1.0, 2.0, 5.0, 10.0, 20.0], [0.5, 1.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0]);
+    let mut panel = Panel::new(frame, title, axis("m/s³", &x), axis("", &y));
+    let position = |mark: &ParetoPoint| {
+        let (jerk, contacts) = mark.position();
+        (jerk.clamp(x[0], x[7]).log10(), contacts.clamp(y[0], y[7]).log10())
+    };
     for (index, mark) in front.iter().enumerate() {
-        let at = mark.position();
-        let others = front.iter().enumerate().filter(|(other, _)| *other != index).map(|(_, other)| other.position());
-        let nearest = others.min_by(|a, b| apart(a, &at).total_cmp(&apart(b, &at)));
+        let at = position(mark);
+        let others = front.iter().enumerate().filter(|(other, _)| *other != index).map(|(_, other)| position(other));
+        // The label is on the left if the nearest mark to the right would be under it.
+        let is_left = others.into_iter().any(|(x, y)| (0.0..0.6).contains(&(x - at.0)) && (y - at.1).abs() < 0.08);
         let marker = if mark.is_untrained { Marker::Cross } else { Marker::Ring };
         panel.add_markers(&[at], marker, Ink::Series(usize::from(!mark.is_untrained)));
-        // The label is on the side away from the nearest mark.
-        let is_left = nearest.is_some_and(|nearest| nearest.0 > at.0);
-        let (side, anchor) = if is_left { (-0.012, Anchor::End) } else { (0.012, Anchor::Start) };
-        panel.add_note((at.0 + side * most, at.1), anchor, &mark.name, Ink::Muted);
+        let (side, anchor) = if is_left { (-0.03, Anchor::End) } else { (0.03, Anchor::Start) };
+        panel.add_note((at.0 + side, at.1), anchor, &mark.name, Ink::Muted);
     }
     let content = panel.draw(&Svg::id("front", "frame"));
-    let description = format!("{draws} draws of each space. Rings are policies of the preset road and its variants.");
+    let description = format!("{draws} random scenarios of each space. Rings are policies from a file.");
     Svg::new(
         "front",
         (LEFT_MARGIN + 24.0 + 640.0 + 24.0, HEADING_HEIGHT + 360.0 + BOTTOM_MARGIN),
@@ -320,7 +313,6 @@ mod tests {
         assert_eq!(parse_error(&["10", "idm", "space=nowhere"]), "there is no built-in space `nowhere`");
         assert_eq!(parse_error(&["10", "idm", "front.svg", "space=steady"]), "a figure needs the space `high-risk`");
         assert!(parse_error(&["10", "idm", "hal"]).contains("`hal`"), "{}", parse_error(&["10", "idm", "hal"]));
-        assert!(parse_error(&["10", "idm", "none.csv"]).starts_with("none.csv: "));
         assert!(parse_error(&["10", "none.safetensors"]).contains("none.safetensors"));
         let asked = SpaceComparisonArgs::parse(["10", "idm", "space=steady"].into_iter().map(str::to_owned)).unwrap();
         assert_eq!((asked.draws, asked.spaces), (10, vec!["steady"]));

@@ -18,8 +18,8 @@ use crumple_learn::retrain::{
 use crumple_learn::rl::TrainingConfig;
 use crumple_report::figures::{RetrainingRound, SelectedCheckpoint, draw_retraining};
 use crumple_search::falsify::Method;
-use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names, file};
 use crumple_world::scenario::space::{BUILT_IN_SPACES, ScenarioSpace, built_in_space};
+use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names, file};
 use crumple_world::sim::{ControllerKind, NamedController};
 
 const DEFAULTS: RetrainingSettings = RetrainingSettings::DEFAULT;
@@ -30,12 +30,12 @@ const DEFAULTS: RetrainingSettings = RetrainingSettings::DEFAULT;
 Each round searches every --space for collisions of the policy, attacks every --scenario, and keeps the avoidable \
 collisions. It then trains the policy on these, mixed with random scenarios of the preset's spaces, or of the paper's \
 distribution and the space, and evaluates the best checkpoint. With `[imitation]` in the preset (`road`), the policy \
-imitates the expert in them. It accepts the checkpoint only if no safe scenario of the paper and its distribution fails, collisions on the \
-validation set do not increase, and the policy is significantly worse in none of the --regression spaces: by \
-collisions and, where `idm` drives without fault, also by hard unnecessary braking and vehicles left behind \
-(McNemar's exact one-sided test on the same random scenarios, p below 0.01). With `useful_draws` in the preset, no \
-measure of usability in `traffic` may get worse either. The retraining ends after --rounds, or \
-when a search finds no avoidable failure, and then evaluates the result on the test set.
+imitates the expert in them. It accepts the checkpoint only if no safe scenario of the paper and its distribution \
+fails, collisions on the validation set do not increase, and the policy is significantly worse in none of the \
+--regression spaces: by collisions and, where `idm` drives without fault, also by hard unnecessary braking and \
+vehicles left behind (McNemar's exact one-sided test on the same random scenarios, p below 0.01). With `useful_draws` \
+in the preset, no measure of usability in `traffic` may get worse either. The retraining ends after --rounds, or when \
+a search finds no avoidable failure, and then evaluates the result on the test set.
 
 The folder contains the policy, the training, validation and test sets, a report (report.md, report.json) with their \
 hashes, and each round. --resume continues an interrupted retraining, even after `kill -9`, and gives the same bytes \

@@ -19,8 +19,8 @@ use crumple_search::falsify::Method;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::random::derived_seed;
-use crumple_world::scenario::{PAPER_STEP_S, Scenario};
 use crumple_world::scenario::space::{ScenarioSpace, SpaceSpec};
+use crumple_world::scenario::{PAPER_STEP_S, Scenario};
 
 /// Version of the file `retrain.toml`.
 pub const RETRAIN_VERSION: u32 = 1;

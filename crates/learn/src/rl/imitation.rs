@@ -179,9 +179,9 @@ fn find_expert(field: &str, text: &str) -> Result<ControllerSpec, TrainingConfig
 
 impl Trainer {
     /// Fits the actor to the expert, if there is one, and calls `done` after each round. An actor that started from a
-    /// policy drives in the first round, too, and keeps its other answers: in spaces whose costs count more than once it
-    /// imitates the policy instead of the expert (Li and Hoiem, 2018), and it ends with the mean of the weights before
-    /// and after (Wortsman et al., 2022).
+    /// policy drives in the first round, too, and keeps its other answers: in spaces whose costs count more than once
+    /// it imitates the policy instead of the expert (Li and Hoiem, 2018), and it ends with the mean of the weights
+    /// before and after (Wortsman et al., 2022).
     ///
     /// # Errors
     /// [`TrainingError`] if a scenario cannot be run; the error of `done`.

@@ -108,6 +108,15 @@ fn an_imitation_learns_the_experts_answers() {
     };
     retrained.imitate(check).unwrap();
     assert!(retrained.policy().unwrap().network() == policy.network(), "a rate of 0 changes nothing");
+    // Where costs count more than once, the policy replaces the expert.
+    config.spaces =
+        vec![TrainingSpace { space: "traffic".to_owned(), weight: 1.0, cost_multiplier: 2.0, uniform_share: 0.0 }];
+    let everyday = config.scenario_source().unwrap();
+    let check = |round: &ImitationRound| -> Result<(), TrainingError> {
+        assert!(round.loss < 1e-9, "{round:?}");
+        Ok(())
+    };
+    Trainer::with_source(&config, 5, everyday).with_initial_policy(&policy).imitate(check).unwrap();
 }
 
 #[test]
