@@ -52,6 +52,9 @@ impl ParameterDistributionFile {
     fn read(root: Rc<SourceElement>, scenario: &Path) -> Result<Self> {
         let none = Parameters::default();
         let node = Node { element: &root, parameters: &none };
+        if node.optional("Storyboard").is_some() {
+            return Err(node.refuse("is a scenario, not a file of distributions"));
+        }
         node.only(&["FileHeader", "ParameterValueDistribution"], &[])?;
         let holder = node.child("ParameterValueDistribution")?;
         holder.only(&["ScenarioFile", "Deterministic", "Stochastic"], &[])?;

@@ -1,6 +1,6 @@
 //! State of the replay that conditions read.
 
-use super::replay::{EventTimes, Replay};
+use super::replay::Replay;
 use super::storyboard::StoryEvent;
 
 /// Start and end of an element, if they were reached, and whether they depend on a controller.
@@ -24,23 +24,20 @@ impl Replay<'_, '_> {
     /// Returns the times of an element of the storyboard; `None` if there is no such element.
     pub(super) fn element_times_s(&self, kind: &str, name: &str) -> Option<ElementTimes> {
         if kind == "action" {
-            let place =
-                self.events.iter().zip(&self.times).zip(&self.action_ends_s).find_map(|((event, times), ends)| {
-                    let place = event.actions.iter().position(|(action, _)| action == name)?;
-                    Some(([times.start_s, ends.get(place).copied()], times.depends))
-                });
-            return place;
+            return self.events.iter().find_map(|event| {
+                let place = event.actions.iter().position(|(action, _)| action == name)?;
+                Some(([event.start_s, event.action_ends_s.get(place).copied()], event.depends))
+            });
         }
         let level = ["story", "act", "maneuverGroup", "maneuver"].iter().position(|level| *level == kind);
-        let is_inside = |event: &StoryEvent<'_>| match level {
+        let is_inside = |event: &&StoryEvent<'_>| match level {
             Some(level) => event.parents.get(level).is_some_and(|parent| parent == name),
             None => kind == "event" && event.name == name,
         };
-        let inside: Vec<&EventTimes> =
-            self.events.iter().zip(&self.times).filter(|(event, _)| is_inside(event)).map(|(_, times)| times).collect();
-        let start_s = inside.iter().filter_map(|times| times.start_s).reduce(f64::min);
-        let end_s = inside.iter().map(|times| times.end_s).reduce(|a, b| a.zip(b).map(|(a, b)| a.max(b))).flatten();
-        (!inside.is_empty()).then(|| ([start_s, end_s], inside.iter().any(|times| times.depends)))
+        let inside: Vec<_> = self.events.iter().filter(is_inside).collect();
+        let start_s = inside.iter().filter_map(|event| event.start_s).reduce(f64::min);
+        let end_s = inside.iter().map(|event| event.end_s()).reduce(|a, b| a.zip(b).map(|(a, b)| a.max(b))).flatten();
+        (!inside.is_empty()).then(|| ([start_s, end_s], inside.iter().any(|event| event.depends)))
     }
 
     /// Returns true if the motion of an entity depends on a controller.

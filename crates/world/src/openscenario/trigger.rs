@@ -74,7 +74,7 @@ impl ConditionThreshold {
 }
 
 impl<'a> Trigger<'a> {
-    pub(super) fn read(node: Option<Node<'a>>, entities: &[Entity]) -> Result<Self> {
+    pub(super) fn read(node: Option<Node<'a>>, entities: &[Entity<'_>]) -> Result<Self> {
         let Some(node) = node else { return Ok(Self { groups: None }) };
         node.only(&["ConditionGroup"], &[])?;
         let group = |group: Node<'a>| {
@@ -111,7 +111,7 @@ impl<'a> Trigger<'a> {
 }
 
 impl<'a> Condition<'a> {
-    fn read(node: Node<'a>, entities: &[Entity]) -> Result<Self> {
+    fn read(node: Node<'a>, entities: &[Entity<'_>]) -> Result<Self> {
         node.only(&["ByValueCondition", "ByEntityCondition"], &["name", "delay", "conditionEdge"])?;
         let edge = match node.text("conditionEdge")?.as_str() {
             "none" => ConditionEdge::None,
@@ -203,7 +203,7 @@ fn read_value_condition(node: Node<'_>) -> Result<ConditionKind> {
     }
 }
 
-fn read_entity_condition(node: Node<'_>, entities: &[Entity]) -> Result<ConditionKind> {
+fn read_entity_condition(node: Node<'_>, entities: &[Entity<'_>]) -> Result<ConditionKind> {
     node.only(&["TriggeringEntities", "EntityCondition"], &[])?;
     let triggering = node.child("TriggeringEntities")?;
     triggering.only(&["EntityRef"], &["triggeringEntitiesRule"])?;
