@@ -82,7 +82,8 @@ fn read_object<'a>(object: Node<'a>, files: &SourceFiles<'_>) -> Result<Entity<'
             entity.notes.append(&mut controller.notes);
             if let Some(driver) = entity.stated_driver.as_ref().filter(|driver| **driver != controller.name) {
                 let name = &controller.name;
-                let note = format!("the property driver = `{driver}` contradicts the controller `{name}`, which drives");
+                let note =
+                    format!("the property driver = `{driver}` contradicts the controller `{name}`, which drives");
                 entity.notes.push(one.note(note));
             }
             entity.controller = Some(controller);
@@ -221,8 +222,10 @@ pub(super) fn assign_drivers(
             Some(AssignedController { built_in: Some(spec), .. }) => Ok(Some(Driver::Controller(spec.clone()))),
             Some(controller) if controller.name == UNDER_TEST_CONTROLLER => under_test,
             Some(_) if ego.is_none() && controlled == 1 => under_test,
-            Some(_) if ego.is_none() => Err(node
-                .refuse(format!("{controlled} entities have a controller: name the vehicle under test with --ego"))),
+            Some(_) if ego.is_none() => {
+                Err(node
+                    .refuse(format!("{controlled} entities have a controller: name the vehicle under test with --ego")))
+            }
             Some(AssignedController { name, .. }) => {
                 let problem = format!("`{}` has the controller `{name}`, which is none of crumple's", entity.name);
                 Err(entity.node.refuse(problem))

@@ -2,10 +2,11 @@
 
 use super::entities::Entity;
 use super::error::ScenarioImportError;
+use super::path_actions::lane_number;
 use super::road::{LanePlace, RoadMap};
 use super::source::SourceFiles;
 use super::speed_plan::TransitionShape;
-use super::storyboard::{SpeedAction, StoryAction, entity_index, lane_number, read_action, read_speed};
+use super::storyboard::{SpeedAction, StoryAction, entity_index, read_action, read_speed};
 use super::xml::Node;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;

@@ -6,9 +6,7 @@ use super::error::ScenarioImportError;
 use super::replay::{EntityMotion, REPLAY_STEP_S, Replay};
 use super::speed_plan::SpeedPlan;
 use super::xml::Node;
-use crate::scenario::{
-    Brake, BrakeToSpeed, Driver, LaneChange, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleSpec,
-};
+use crate::scenario::{Driver, LaneChange, Scenario, ScenarioSpec, VehicleSpec};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
@@ -103,7 +101,7 @@ impl LaneScenarioBuilder<'_, '_> {
             notes.push(format!("{outside}, at the end; the road of the scenario is endless"));
         }
         let is_scripted = driver.is_none();
-        let driver = driver.unwrap_or_else(|| Driver::Profile(script(motion, start_s, self.stop_s)));
+        let driver = driver.unwrap_or_else(|| Driver::Profile(motion.script(start_s, self.stop_s)));
         let mut spec = VehicleSpec::new(body.class, start.position_m + body.front_m, start.speed_mps, driver);
         spec.length_m = Some(body.length_m);
         spec.mass_kg = body.mass_kg;
@@ -252,53 +250,4 @@ fn raise_limits(
     spec.max_brake_mps2 = Some(brake_mps2.max(spec.max_brake_mps2()));
     spec.max_accel_mps2 = Some(accel_mps2.max(spec.max_accel_mps2()));
     Some(format!("{lowest:.1} to {highest:.1} m/s²"))
-}
-
-/// Returns the script of a motion from a time on: braking, constant speed, or recorded speeds.
-fn script(motion: &EntityMotion<'_>, start_s: f64, stop_s: f64) -> LeadProfile {
-    let start = motion.plan.at(start_s);
-    let later = motion.plan.knots().iter().filter(|knot| knot.time_s > start_s);
-    let mut knots: Vec<(f64, f64)> = vec![(0.0, start.speed_mps)];
-    for knot in later {
-        let time_s = knot.time_s - start_s;
-        match knots.as_slice() {
-            // Only changes of the slope matter.
-            [.., (_, before_mps), (last_s, last_mps)] if before_mps == last_mps && *last_mps == knot.speed_mps => {
-                let last_s = last_s.max(time_s);
-                knots.pop();
-                knots.push((last_s, knot.speed_mps));
-            }
-            _ => knots.push((time_s, knot.speed_mps)),
-        }
-        if knot.time_s >= stop_s {
-            break;
-        }
-    }
-    let braking = match knots.as_slice() {
-        _ if motion.is_recorded => None,
-        knots if knots.iter().all(|(_, mps)| *mps == start.speed_mps) => return LeadProfile::ConstantSpeed,
-        [(from_s, from_mps), (to_s, to_mps)] if to_mps < from_mps => Some((*from_s, *from_mps, *to_s, *to_mps)),
-        [(_, held_mps), (from_s, from_mps), (to_s, to_mps)] if held_mps == from_mps && to_mps < from_mps => {
-            Some((*from_s, *from_mps, *to_s, *to_mps))
-        }
-        _ => None,
-    };
-    match braking {
-        Some((onset_s, from_mps, to_s, 0.0)) => {
-            LeadProfile::Brake(Brake { onset_s, rate_mps2: rounded(from_mps / (to_s - onset_s)) })
-        }
-        Some((onset_s, from_mps, to_s, final_speed_mps)) => {
-            let rate_mps2 = rounded((from_mps - final_speed_mps) / (to_s - onset_s));
-            LeadProfile::BrakeToSpeed(BrakeToSpeed { onset_s, rate_mps2, final_speed_mps })
-        }
-        None => {
-            let (time_s, speed_mps) = knots.into_iter().unzip();
-            LeadProfile::Recorded(RecordedSpeeds { time_s, speed_mps })
-        }
-    }
-}
-
-/// Removes the rounding errors of a quotient.
-fn rounded(value: f64) -> f64 {
-    (value * 1e10).round() / 1e10
 }

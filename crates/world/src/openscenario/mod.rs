@@ -127,8 +127,7 @@ impl OpenScenarioSource {
         storyboard.only(&["Init", "Story", "StopTrigger"], &[])?;
         let drivers = entities::assign_drivers(root.child("Entities")?, &entities, ego)?;
         let initial = initial::read_initial(storyboard.child("Init")?, &entities, &roads, &files)?;
-        let Stories { events, mut event_triggers, mut act_triggers } =
-            storyboard::read_stories(storyboard, &entities)?;
+        let Stories { events, mut event_triggers, mut act_triggers } = storyboard::read_stories(storyboard, &entities)?;
         let is_controlled: Vec<bool> = drivers.iter().map(Option::is_some).collect();
         let friction = initial.friction;
         let mut replay = Replay::new(&entities, initial, &is_controlled, events, &roads)?;
