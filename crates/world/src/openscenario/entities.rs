@@ -1,7 +1,7 @@
 //! Entities: bodies, limits and controllers.
 
 use super::error::ScenarioImportError;
-use super::parameters::Parameters;
+use super::parameters::{Parameters, read_assignment};
 use super::source::SourceFiles;
 use super::xml::Node;
 use crate::control::ControllerSpec;
@@ -192,11 +192,7 @@ fn read_body<'a>(object: Node<'a>, body: Node<'_>) -> Result<Entity<'a>> {
 /// Returns the values of the parameters of a catalogue entry.
 pub(super) fn entry_parameters(reference: Node<'_>, entry: Node<'_>) -> Result<Parameters> {
     let assignments = reference.named("ParameterAssignments").flat_map(|list| list.children().collect::<Vec<_>>());
-    let read = |one: Node<'_>| {
-        one.only(&[], &["parameterRef", "value"])?;
-        Ok((one.text("parameterRef")?, one.text("value")?))
-    };
-    let assigned = assignments.map(read).collect::<Result<Vec<_>>>()?;
+    let assigned = assignments.map(read_assignment).collect::<Result<Vec<_>>>()?;
     Parameters::declare(entry.optional("ParameterDeclarations"), &assigned)
 }
 

@@ -220,7 +220,9 @@ impl<'a, 'b> Replay<'a, 'b> {
         if changes_speed && depends {
             return Err(node.refuse("depends on an entity with a controller: scripts depend only on the time"));
         }
-        self.notes.extend(assumed.map(|other| node.note(format!("as if `{}` kept its speed", other.name))));
+        self.notes.extend(
+            assumed.map(|other| node.note(format!("is relative to `{}`, as if it kept its speed", other.name))),
+        );
         Ok(end_s)
     }
 }

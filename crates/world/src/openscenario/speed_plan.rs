@@ -193,14 +193,15 @@ impl SpeedPlan {
 
     /// Follows vertices of time and position from the first on.
     ///
-    /// The shortest segment is the step of the simulation, except at the end, where a collision may cut it. Positions of a polyline determine only mean speeds. Over segments of more than a step the speed is constant up
-    /// to one step from each end. In shorter segments the speed at the end follows from that at the start; errors of
-    /// the speed alternate and decay, and errors of the position are corrected in the next segment.
+    /// The shortest segment is the step of the simulation, except at the end, where a collision may cut it. Positions
+    /// determine only mean speeds. Over segments of more than a step the speed is constant up to one step from each
+    /// end. In shorter segments the speed at the end follows from that at the start; errors of the speed alternate and
+    /// decay, and errors of the position are corrected in the next segment.
     pub(super) fn follow(&mut self, vertices: &[(f64, f64)]) {
         /// Largest difference of the speed at the end of a segment from its mean in crumple's export, in m/s.
         const SPEED_TOLERANCE_MPS: f64 = 0.005;
         /// Share of an alternating error that remains after a segment.
-        const REMAINING_RIPPLE: f64 = 0.95;
+        const REMAINING_RIPPLE: f64 = 0.99;
         let Some(&(start_s, _)) = vertices.first() else { return };
         self.cut(start_s);
         let spans_s = vertices.windows(2).rev().skip(2).filter_map(|pair| Some(pair.last()?.0 - pair.first()?.0));

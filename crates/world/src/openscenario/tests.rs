@@ -204,7 +204,7 @@ fn assumptions_and_content_without_influence_are_noted_with_their_lines() {
         source.scenario(None, &[]).unwrap().notes
     };
     let [relative, never] = &notes("", "", ROAD)[..] else { panic!("two notes") };
-    assert!(relative.ends_with("SpeedAction: as if `ego` kept its speed"), "{relative}");
+    assert!(relative.ends_with("SpeedAction: is relative to `ego`, as if it kept its speed"), "{relative}");
     assert!(never.ends_with("ScenarioObject: the controller is never activated: it drives from the start"), "{never}");
     let until = r#"<SimulationTimeCondition value="9" rule="greaterThan"/>"#;
     let falling = good.replace("<StoryboardElementStateCondition storyboardElementType=\"action\" ", until);
