@@ -24,7 +24,7 @@ pub(super) struct SourceElement {
     pub(super) name: String,
     pub(super) line: u32,
     pub(super) path: Arc<Path>,
-    attributes: Vec<(String, String)>,
+    attributes: Box<[(String, String)]>,
     children: Vec<SourceElement>,
     has_text: bool,
 }
@@ -104,7 +104,14 @@ impl SourceElement {
                 attributes.push((key, value));
             }
         }
-        Ok(Self { name, line, path: path.clone(), attributes, children: Vec::new(), has_text: false })
+        Ok(Self {
+            name,
+            line,
+            path: path.clone(),
+            attributes: attributes.into(),
+            children: Vec::new(),
+            has_text: false,
+        })
     }
 
     pub(super) fn refuse(&self, reason: impl Into<String>) -> ScenarioImportError {
