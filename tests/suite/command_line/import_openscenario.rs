@@ -39,7 +39,7 @@ fn exports_are_imported_and_damaged_files_are_refused_with_one_line() {
     fs::create_dir(folder.path().join("folder.xosc")).unwrap();
     assert_refused(&run_crumple(folder.path(), "import folder.xosc"), "folder.xosc: is not a regular file");
     fs::remove_file(folder.path().join("paper-3.xodr")).unwrap();
-    assert_refused(&run_crumple(folder.path(), "import paper-3.xosc"), "paper-3.xosc:6: LogicFile: paper-3.xodr: ");
+    assert_refused(&run_crumple(folder.path(), "import paper-3.xosc"), "paper-3.xosc:7: LogicFile: paper-3.xodr: ");
 }
 
 #[test]
