@@ -38,7 +38,7 @@ driven by the baseline. Without any episode the exit code is 1, and the hardest 
 
 An OpenSCENARIO file F.xosc (1.0 to 1.3) becomes a scenario on the lane of the vehicle under test. \
 --distribution makes a scenario of each combination of values (at most 10 000), or a space of random values. \
-Unsupported content is an error with element, line and reason. A file may have 256 MiB.
+Unsupported content is an error with element, line and reason. A file may have 64 MiB.
 
 A recording may have 5 million rows, 20 million speeds and gaps, 200 vehicles of a platoon or 100 000 events; \
 crumple refuses larger recordings and states the line. A map may have 64 KiB. An existing scenario file stays as it \

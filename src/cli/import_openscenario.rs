@@ -81,7 +81,7 @@ impl OpenScenarioArgs {
         };
         OutputFolder::without_listing(out, force).write(&files, EarlierFiles::Keep)?;
         for note in &notes {
-            output::note(&format!("note: {}: {note}", path.display()), quiet);
+            output::note(&format!("note: {note}"), quiet);
         }
         if violating > 0 {
             let problem = format!("{violating} combinations of values violate the constraints of the parameters");

@@ -36,6 +36,10 @@ fn exports_are_imported_and_damaged_files_are_refused_with_one_line() {
     assert_refused(&run_crumple(folder.path(), "import paper-3.xosc other.csv"), "give an OpenSCENARIO file alone");
     assert_refused(&run_crumple(folder.path(), "import other.csv --ego a"), "apply only to a file F.xosc");
     assert_reports(&run_crumple(folder.path(), "import none.xosc"), 2, "none.xosc");
+    fs::create_dir(folder.path().join("folder.xosc")).unwrap();
+    assert_refused(&run_crumple(folder.path(), "import folder.xosc"), "folder.xosc: is not a regular file");
+    fs::remove_file(folder.path().join("paper-3.xodr")).unwrap();
+    assert_refused(&run_crumple(folder.path(), "import paper-3.xosc"), "paper-3.xosc:7: LogicFile: paper-3.xodr: ");
 }
 
 #[test]
@@ -59,6 +63,9 @@ fn variations_that_violate_constraints_are_counted() {
     let done = run_ok(folder.path(), "import f.xosc --distribution d.xosc --out varied");
     assert_eq!(stdout(&done), "varied: 4 scenarios\n");
     assert!(stderr(&done).contains("f.xosc: 3 combinations of values violate the constraints"), "{done:?}");
+    assert_refused(&run_crumple(folder.path(), "import d.xosc"), "d.xosc:1: OpenSCENARIO: is a file of distributions");
+    let reverse = run_crumple(folder.path(), "import f.xosc --distribution f.xosc");
+    assert_refused(&reverse, "f.xosc:2: OpenSCENARIO: is a scenario, not a file of distributions");
     let second = fs::read_to_string(folder.path().join("varied/paper-1-00002.toml")).unwrap();
     assert!(second.contains("speed = 20.5") && second.contains("speed_mps = 20.5"), "{second}");
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use std::rc::Rc;
 
 use super::error::ScenarioImportError;
-use super::parameters::Parameters;
+use super::parameters::{Parameters, read_assignment};
 use super::source::FileCache;
 use super::xml::{Node, SourceElement};
 use crate::scenario::file::MAX_FILES;
@@ -52,6 +52,9 @@ impl ParameterDistributionFile {
     fn read(root: Rc<SourceElement>, scenario: &Path) -> Result<Self> {
         let none = Parameters::default();
         let node = Node { element: &root, parameters: &none };
+        if node.optional("Storyboard").is_some() {
+            return Err(node.refuse("is a scenario, not a file of distributions"));
+        }
         node.only(&["FileHeader", "ParameterValueDistribution"], &[])?;
         let holder = node.child("ParameterValueDistribution")?;
         holder.only(&["ScenarioFile", "Deterministic", "Stochastic"], &[])?;
@@ -120,11 +123,10 @@ fn read_deterministic(node: Node<'_>) -> Result<Vec<Variation>> {
     let values = match (node.name(), inner.name()) {
         ("DeterministicMultiParameterDistribution", "ValueSetDistribution") => {
             inner.only(&["ParameterValueSet"], &[])?;
-            let assignment = |one: Node<'_>| {
-                one.only(&[], &["parameterRef", "value"])?;
-                Ok((one.text("parameterRef")?, one.text("value")?))
-            };
-            inner.children().map(|set| set.children().map(assignment).collect()).collect::<Result<Vec<Variation>>>()?
+            inner
+                .children()
+                .map(|set| set.children().map(read_assignment).collect())
+                .collect::<Result<Vec<Variation>>>()?
         }
         ("DeterministicSingleParameterDistribution", kind) => {
             node.only(&["DistributionSet", "DistributionRange"], &["parameterName"])?;

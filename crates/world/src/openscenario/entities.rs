@@ -1,7 +1,7 @@
 //! Entities: bodies, limits and controllers.
 
 use super::error::ScenarioImportError;
-use super::parameters::Parameters;
+use super::parameters::{Parameters, read_assignment};
 use super::source::SourceFiles;
 use super::xml::Node;
 use crate::control::ControllerSpec;
@@ -11,7 +11,8 @@ type Result<T> = std::result::Result<T, ScenarioImportError>;
 
 /// An entity of the file.
 #[derive(Debug)]
-pub(super) struct Entity {
+pub(super) struct Entity<'a> {
+    pub(super) node: Node<'a>,
     pub(super) name: String,
     pub(super) class: VehicleClass,
     pub(super) length_m: f64,
@@ -26,21 +27,27 @@ pub(super) struct Entity {
     /// Reaction delay, actuator lag and actuator delay, as crumple's export states them.
     pub(super) delays_s: [f64; 3],
     pub(super) controller: Option<AssignedController>,
+    /// Property in which crumple's export states the driver.
+    stated_driver: Option<String>,
+    /// Content without influence on the motion.
+    pub(super) notes: Vec<String>,
 }
 
 /// A controller that is assigned to an entity.
 #[derive(Debug)]
 pub(super) struct AssignedController {
-    pub(super) name: String,
-    pub(super) properties: Vec<(String, String)>,
+    name: String,
+    /// Built-in controller of this name, with the settings of the properties.
+    built_in: Option<ControllerSpec>,
+    notes: Vec<String>,
 }
 
 /// Names of the properties in which crumple's export states delays, in the order of `Entity::delays_s`.
 pub const DELAY_PROPERTIES: [&str; 3] = ["reaction_delay_s", "actuator_lag_s", "actuator_delay_s"];
 
-pub(super) fn read_entities(node: Node<'_>, files: &SourceFiles<'_>) -> Result<Vec<Entity>> {
+pub(super) fn read_entities<'a>(node: Node<'a>, files: &SourceFiles<'_>) -> Result<Vec<Entity<'a>>> {
     node.only(&["ScenarioObject"], &[])?;
-    let mut found: Vec<Entity> = Vec::new();
+    let mut found: Vec<Entity<'a>> = Vec::new();
     for object in node.children() {
         let entity = read_object(object, files)?;
         if found.iter().any(|other| other.name == entity.name) {
@@ -51,7 +58,7 @@ pub(super) fn read_entities(node: Node<'_>, files: &SourceFiles<'_>) -> Result<V
     Ok(found)
 }
 
-fn read_object(object: Node<'_>, files: &SourceFiles<'_>) -> Result<Entity> {
+fn read_object<'a>(object: Node<'a>, files: &SourceFiles<'_>) -> Result<Entity<'a>> {
     object.only(
         &["CatalogReference", "Vehicle", "Pedestrian", "MiscObject", "ExternalObjectReference", "ObjectController"],
         &["name"],
@@ -59,20 +66,27 @@ fn read_object(object: Node<'_>, files: &SourceFiles<'_>) -> Result<Entity> {
     let mut bodies = object.children().filter(|child| child.name() != "ObjectController");
     let body = bodies.next().ok_or_else(|| object.refuse("has no vehicle"))?;
     let mut entity = if body.name() == "CatalogReference" {
-        files.with_catalog_entry(body, &["Vehicle", "Pedestrian", "MiscObject"], read_body)?
+        files.with_catalog_entry(body, &["Vehicle", "Pedestrian", "MiscObject"], |body| read_body(object, body))?
     } else {
-        read_body(body)?
+        read_body(object, body)?
     };
-    entity.name = object.text("name")?;
     if let Some(holder) = object.optional("ObjectController") {
         holder.only(&["Controller", "CatalogReference"], &["name"])?;
         // OpenSCENARIO 1.3 allows several controllers, and a holder without one.
         let mut controllers = holder.children();
         if let Some(one) = controllers.next() {
-            entity.controller = Some(match one.name() {
+            let mut controller = match one.name() {
                 "CatalogReference" => files.with_catalog_entry(one, &["Controller"], read_controller)?,
                 _ => read_controller(one)?,
-            });
+            };
+            entity.notes.append(&mut controller.notes);
+            if let Some(driver) = entity.stated_driver.as_ref().filter(|driver| **driver != controller.name) {
+                let name = &controller.name;
+                let note =
+                    format!("the property driver = `{driver}` contradicts the controller `{name}`, which drives");
+                entity.notes.push(one.note(note));
+            }
+            entity.controller = Some(controller);
         }
         let second = controllers.next().or_else(|| object.named("ObjectController").nth(1));
         if let Some(second) = second {
@@ -82,17 +96,36 @@ fn read_object(object: Node<'_>, files: &SourceFiles<'_>) -> Result<Entity> {
     Ok(entity)
 }
 
-pub(super) fn read_controller(node: Node<'_>) -> Result<AssignedController> {
+fn read_controller(node: Node<'_>) -> Result<AssignedController> {
     node.only(&["Properties", "ParameterDeclarations"], &["name", "controllerType"])?;
-    Ok(AssignedController { name: node.text("name")?, properties: read_properties(node)? })
+    let (name, properties) = (node.text("name")?, read_properties(node)?);
+    let settings = properties.iter().map(|(property, value)| format!(",{property}={value}"));
+    let built_in = ControllerSpec::parse(&(name.clone() + &settings.collect::<String>())).transpose();
+    let built_in = built_in.map_err(|invalid| node.refuse(invalid.to_string()))?;
+    let mut notes = Vec::new();
+    if built_in.is_none() {
+        note_unused(node, properties.into_iter().map(|(property, _)| property).collect(), &mut notes);
+    }
+    Ok(AssignedController { name, built_in, notes })
+}
+
+/// Notes properties that crumple does not know.
+fn note_unused(node: Node<'_>, names: Vec<String>, notes: &mut Vec<String>) {
+    if !names.is_empty() {
+        notes.push(node.note(format!("properties without influence on the motion: {}", names.join(", "))));
+    }
 }
 
 fn read_properties(node: Node<'_>) -> Result<Vec<(String, String)>> {
-    let properties = node.named("Properties").flat_map(|list| list.named("Property").collect::<Vec<_>>());
-    properties.map(|one| Ok((one.text("name")?, one.text("value")?))).collect()
+    let properties = node.named("Properties").flat_map(|list| list.children().collect::<Vec<_>>());
+    let read = |one: Node<'_>| match one.name() {
+        "Property" => Ok((one.text("name")?, one.text("value")?)),
+        _ => Ok((one.name().to_owned(), one.text("filepath")?)),
+    };
+    properties.map(read).collect()
 }
 
-fn read_body(body: Node<'_>) -> Result<Entity> {
+fn read_body<'a>(object: Node<'a>, body: Node<'_>) -> Result<Entity<'a>> {
     let is_vehicle = match body.name() {
         "Vehicle" => true,
         "Pedestrian" | "MiscObject" => false,
@@ -110,7 +143,8 @@ fn read_body(body: Node<'_>) -> Result<Entity> {
     let length_m = dimensions.non_negative("length")?;
     let class = VehicleClass::ALL.iter().copied().find(|class| body.raw("name") == Some(class.name()));
     let mut entity = Entity {
-        name: String::new(),
+        node: object,
+        name: object.text("name")?,
         class: class.unwrap_or(VehicleClass::from_length(length_m)),
         length_m,
         width_m: dimensions.non_negative("width")?,
@@ -122,6 +156,8 @@ fn read_body(body: Node<'_>) -> Result<Entity> {
         jerk_limit_mps3: None,
         delays_s: [0.0; 3],
         controller: None,
+        stated_driver: None,
+        notes: Vec::new(),
     };
     if is_vehicle {
         let limits = body.child("Performance")?;
@@ -137,69 +173,60 @@ fn read_body(body: Node<'_>) -> Result<Entity> {
             return Err(limits.refuse("maxAccelerationRate and maxDecelerationRate must be equal"));
         }
     }
+    let mut unused = Vec::new();
     for (name, value) in read_properties(body)? {
         let delay = DELAY_PROPERTIES.iter().position(|delay| *delay == name);
         if let Some(place) = delay.and_then(|place| entity.delays_s.get_mut(place)) {
             let number = value.parse().ok().filter(|number: &f64| number.is_finite());
             *place = number.ok_or_else(|| body.refuse(format!("property `{name}`: `{value}` is not a number")))?;
+        } else if name == "driver" {
+            entity.stated_driver = Some(value);
+        } else {
+            unused.push(name);
         }
     }
+    note_unused(body, unused, &mut entity.notes);
     Ok(entity)
 }
 
 /// Returns the values of the parameters of a catalogue entry.
 pub(super) fn entry_parameters(reference: Node<'_>, entry: Node<'_>) -> Result<Parameters> {
     let assignments = reference.named("ParameterAssignments").flat_map(|list| list.children().collect::<Vec<_>>());
-    let read = |one: Node<'_>| {
-        one.only(&[], &["parameterRef", "value"])?;
-        Ok((one.text("parameterRef")?, one.text("value")?))
-    };
-    let assigned = assignments.map(read).collect::<Result<Vec<_>>>()?;
+    let assigned = assignments.map(read_assignment).collect::<Result<Vec<_>>>()?;
     Parameters::declare(entry.optional("ParameterDeclarations"), &assigned)
 }
 
 /// Name of the controller of vehicles under test in crumple's export.
 pub const UNDER_TEST_CONTROLLER: &str = "under-test";
 
-/// Drivers of the entities with a controller; `None` for scripted ones.
-pub(super) fn assign_drivers(node: Node<'_>, entities: &[Entity], ego: Option<&str>) -> Result<Vec<Option<Driver>>> {
+/// Returns the drivers of the entities with a controller; `None` for scripted ones.
+pub(super) fn assign_drivers(
+    node: Node<'_>,
+    entities: &[Entity<'_>],
+    ego: Option<&str>,
+) -> Result<Vec<Option<Driver>>> {
     if let Some(name) = ego.filter(|name| entities.iter().all(|entity| entity.name != **name)) {
         let names: Vec<_> = entities.iter().map(|entity| entity.name.as_str()).collect();
         return Err(node.refuse(format!("there is no entity `{name}`, only {}", names.join(", "))));
     }
     let controlled = entities.iter().filter(|entity| entity.controller.is_some()).count();
-    let driver = |entity: &Entity| {
-        if ego == Some(&entity.name) {
-            return Ok(Some(Driver::UnderTest));
-        }
-        let Some(controller) = &entity.controller else { return Ok(None) };
-        if controller.name == UNDER_TEST_CONTROLLER {
-            return Ok(Some(Driver::UnderTest));
-        }
-        match built_in_driver(node, controller)? {
-            Some(driver) => Ok(Some(driver)),
-            None if ego.is_none() && controlled == 1 => Ok(Some(Driver::UnderTest)),
-            None if ego.is_none() => {
+    let driver = |entity: &Entity<'_>| {
+        let under_test = Ok(Some(Driver::UnderTest));
+        match &entity.controller {
+            _ if ego == Some(&entity.name) => under_test,
+            None => Ok(None),
+            Some(AssignedController { built_in: Some(spec), .. }) => Ok(Some(Driver::Controller(spec.clone()))),
+            Some(controller) if controller.name == UNDER_TEST_CONTROLLER => under_test,
+            Some(_) if ego.is_none() && controlled == 1 => under_test,
+            Some(_) if ego.is_none() => {
                 Err(node
                     .refuse(format!("{controlled} entities have a controller: name the vehicle under test with --ego")))
             }
-            None => Err(node.refuse(format!(
-                "the entity `{}` has the controller `{}`, which is none of crumple's",
-                entity.name, controller.name
-            ))),
+            Some(AssignedController { name, .. }) => {
+                let problem = format!("`{}` has the controller `{name}`, which is none of crumple's", entity.name);
+                Err(entity.node.refuse(problem))
+            }
         }
     };
     entities.iter().map(driver).collect()
-}
-
-/// Returns the built-in controller of this name, with the settings of the properties.
-fn built_in_driver(node: Node<'_>, controller: &AssignedController) -> Result<Option<Driver>> {
-    let Some(mut spec) = ControllerSpec::from_name(&controller.name) else { return Ok(None) };
-    let fields: Vec<&str> = spec.values().map(|(field, _)| field.name).collect();
-    for (place, field) in fields.into_iter().enumerate() {
-        let Some((_, value)) = controller.properties.iter().find(|(name, _)| name == field) else { continue };
-        let number = value.parse::<f64>().map_err(|_| node.refuse(format!("`{field}` = `{value}` is not a number")))?;
-        spec.get_mut(place).map(|setting| std::mem::replace(setting, number));
-    }
-    Ok(Some(Driver::Controller(spec)))
 }

@@ -2,10 +2,11 @@
 
 use super::entities::Entity;
 use super::error::ScenarioImportError;
+use super::path_actions::lane_number;
 use super::road::{LanePlace, RoadMap};
 use super::source::SourceFiles;
 use super::speed_plan::TransitionShape;
-use super::storyboard::{SpeedAction, StoryAction, entity_index, lane_number, read_action, read_speed};
+use super::storyboard::{SpeedAction, StoryAction, entity_index, read_action, read_speed};
 use super::xml::Node;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
@@ -24,7 +25,7 @@ pub(super) struct InitialState<'a> {
 
 pub(super) fn read_initial<'a>(
     init: Node<'a>,
-    entities: &[Entity],
+    entities: &[Entity<'_>],
     roads: &RoadMap<'_>,
     files: &SourceFiles<'_>,
 ) -> Result<InitialState<'a>> {
@@ -52,7 +53,9 @@ pub(super) fn read_initial<'a>(
                     match (inner.name(), inner.children().next().map(Node::name)) {
                         ("TeleportAction", _) => {
                             let position = inner.child("Position")?.single()?;
-                            positions.get_mut(entity).map(|place| place.replace(position));
+                            if positions.get_mut(entity).is_some_and(|place| place.replace(position).is_some()) {
+                                return Err(inner.refuse("is a second position of the entity"));
+                            }
                         }
                         ("LongitudinalAction", Some("SpeedAction")) => {
                             speeds.push((entity, read_speed(inner.single()?, entities)?));
@@ -100,7 +103,7 @@ fn read_conditions(environment: Node<'_>, state: &mut InitialState<'_>) -> Resul
         match part.name() {
             "RoadCondition" => state.friction = part.number("frictionScaleFactor")?,
             "ParameterDeclarations" => {}
-            name => state.notes.push(format!("{name} (line {}): has no influence on the motion", part.element.line)),
+            _ => state.notes.push(part.note("has no influence on the motion")),
         }
     }
     Ok(())
@@ -110,7 +113,7 @@ fn read_conditions(environment: Node<'_>, state: &mut InitialState<'_>) -> Resul
 fn resolve_places(
     init: Node<'_>,
     positions: &[Option<Node<'_>>],
-    entities: &[Entity],
+    entities: &[Entity<'_>],
     roads: &RoadMap<'_>,
 ) -> Result<Vec<LanePlace>> {
     let mut found: Vec<Option<LanePlace>> = vec![None; positions.len()];
@@ -141,16 +144,16 @@ fn resolve_places(
 pub(super) fn resolve_place(
     node: Node<'_>,
     known: &[Option<LanePlace>],
-    entities: &[Entity],
+    entities: &[Entity<'_>],
     roads: &RoadMap<'_>,
 ) -> Result<Option<LanePlace>> {
-    if let Some(orientation) = node.optional("Orientation") {
+    let orientation = node.optional("Orientation").unwrap_or(node);
+    if orientation.name() == "Orientation" {
         orientation.only(&[], &["type", "h", "p", "r"])?;
-        for angle in ["h", "p", "r"] {
-            if node.name() != "WorldPosition" && orientation.optional_number(angle)?.is_some_and(|rad| rad.abs() > 1e-3)
-            {
-                return Err(orientation.refuse("the direction differs from that of the lane"));
-            }
+    }
+    for angle in if node.name() == "WorldPosition" { &["p", "r"][..] } else { &["h", "p", "r"] } {
+        if orientation.optional_number(angle)?.is_some_and(|rad| rad.abs() > 1e-3) {
+            return Err(orientation.refuse(format!("`{angle}` differs from the direction of the lane")));
         }
     }
     let in_middle = |node: Node<'_>| match node.optional_number("offset")? {
@@ -164,7 +167,9 @@ pub(super) fn resolve_place(
             node.only(&[], &["x", "y", "z", "h", "p", "r"])?;
             let point_m = [node.number("x")?, node.number("y")?];
             let road = roads.find(node, None, point_m)?;
-            road.place_of_point(node, point_m, node.optional_number("h")?).map(Some)
+            // Without `h`, the heading is 0, but that of a trajectory is its direction.
+            let heading_rad = node.optional_number("h")?.or((!known.is_empty()).then_some(0.0));
+            road.place_of_point(node, point_m, heading_rad).map(Some)
         }
         "LanePosition" => {
             node.only(&["Orientation"], &["roadId", "laneId", "offset", "s"])?;
@@ -199,15 +204,12 @@ fn resolve_speeds<'a>(speeds: Vec<(usize, SpeedAction<'a>)>, state: &mut Initial
                 state.transitions.push((entity, action));
                 continue;
             }
-            let reference = action.target.reference().map(|other| state.speeds_mps.get(other).copied().flatten());
+            let reference = action.target.reference.map(|other| state.speeds_mps.get(other).copied().flatten());
             match reference {
                 // A vehicle without an initial speed stands.
                 Some(None) if rounds <= count => later.push((entity, action)),
                 _ => {
-                    let mps = action.target.speed_mps(reference.flatten().unwrap_or(0.0));
-                    if mps < 0.0 {
-                        return Err(action.node.refuse(format!("the speed would be {mps} m/s")));
-                    }
+                    let mps = action.target.speed_mps(action.node, reference.flatten().unwrap_or(0.0))?;
                     state.speeds_mps.get_mut(entity).map(|speed| speed.replace(mps));
                 }
             }
@@ -218,7 +220,7 @@ fn resolve_speeds<'a>(speeds: Vec<(usize, SpeedAction<'a>)>, state: &mut Initial
 }
 
 /// Moves an entity to a distance from another one.
-fn apply_distance(node: Node<'_>, entity: usize, entities: &[Entity], state: &mut InitialState<'_>) -> Result<()> {
+fn apply_distance(node: Node<'_>, entity: usize, entities: &[Entity<'_>], state: &mut InitialState<'_>) -> Result<()> {
     node.only(
         &[],
         &["entityRef", "distance", "timeGap", "freespace", "continuous", "coordinateSystem", "displacement"],

@@ -1,13 +1,12 @@
 //! The scenario on one lane that a replay gives.
 
 use super::ImportedLaneScenario;
+use super::entities::Entity;
 use super::error::ScenarioImportError;
 use super::replay::{EntityMotion, REPLAY_STEP_S, Replay};
 use super::speed_plan::SpeedPlan;
 use super::xml::Node;
-use crate::scenario::{
-    Brake, BrakeToSpeed, Driver, LaneChange, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleSpec,
-};
+use crate::scenario::{Driver, LaneChange, Scenario, ScenarioSpec, VehicleSpec};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
@@ -15,7 +14,7 @@ type Result<T> = std::result::Result<T, ScenarioImportError>;
 const FOLLOW_TOLERANCE_M: f64 = 0.01;
 /// The replay, and what the scenario takes from the rest of the file.
 pub(super) struct LaneScenarioBuilder<'a, 'b> {
-    pub(super) node: Node<'a>,
+    pub(super) storyboard: Node<'a>,
     pub(super) replay: Replay<'a, 'b>,
     pub(super) drivers: Vec<Option<Driver>>,
     pub(super) friction: f64,
@@ -23,7 +22,6 @@ pub(super) struct LaneScenarioBuilder<'a, 'b> {
     pub(super) stop_depends: bool,
     pub(super) name: String,
     pub(super) about: String,
-    pub(super) notes: Vec<String>,
 }
 
 /// A vehicle before it has its place in the list.
@@ -40,12 +38,16 @@ impl LaneScenarioBuilder<'_, '_> {
         let reference = self.drivers.iter().position(|driver| *driver == Some(Driver::UnderTest)).unwrap_or(0);
         let lane = self.replay.motion.get(reference).map_or(0, |motion| motion.lane);
         if start_s > 0.0 {
-            self.notes.push(format!(
-                "starts when the controller is activated, at {start_s} s; until then its vehicle keeps its speed"
-            ));
+            let text = format!("starts when the controller is activated, at {start_s} s, with the initial speed");
+            self.replay.notes.push(self.storyboard.note(text));
         }
         if self.stop_depends {
-            self.notes.push("the duration is that of a vehicle under test that keeps its speed".to_owned());
+            let text = "the duration is that of a vehicle under test that keeps its speed";
+            self.replay.notes.push(self.storyboard.note(text));
+        }
+        for event in self.replay.events.iter().filter(|event| event.start_s.is_none()) {
+            let text = format!("`{}` never starts within the {} s of the scenario", event.name, self.stop_s);
+            self.replay.notes.push(event.node.note(text));
         }
         let mut vehicles: Vec<LaneVehicle> = Vec::new();
         let count = self.drivers.len();
@@ -61,9 +63,9 @@ impl LaneScenarioBuilder<'_, '_> {
         let vehicles = listed.into_iter().map(|one| one.spec).collect();
         let mut spec = ScenarioSpec { about: self.about, ..ScenarioSpec::new(self.name, duration_s, vehicles) };
         spec.environment.friction = self.friction;
-        let path = self.node.element.path.to_path_buf();
+        let path = self.storyboard.element.path.to_path_buf();
         let scenario = Scenario::new(spec).map_err(|invalid| ScenarioImportError::Invalid { path, invalid })?;
-        Ok(ImportedLaneScenario { scenario, notes: self.notes })
+        Ok(ImportedLaneScenario { scenario, notes: self.replay.notes })
     }
 
     /// Returns the time at which the first controller of a vehicle under test is active.
@@ -75,20 +77,31 @@ impl LaneScenarioBuilder<'_, '_> {
 
     fn vehicle(&mut self, entity: usize, lane: i32, start_s: f64) -> Result<LaneVehicle> {
         let (Some(motion), Some(body)) = (self.replay.motion.get(entity), self.replay.entities.get(entity)) else {
-            return Err(self.node.refuse("has no entity"));
+            return Err(self.storyboard.refuse("has no entity"));
         };
-        if motion.plan.max_speed_mps() > body.max_speed_mps {
-            let problem = format!("the entity `{}` exceeds its maxSpeed of {} m/s", body.name, body.max_speed_mps);
-            return Err(self.node.refuse(problem));
+        let notes = &mut self.replay.notes;
+        notes.extend_from_slice(&body.notes);
+        let fastest = motion.plan.knots().iter().max_by(|a, b| a.speed_mps.total_cmp(&b.speed_mps));
+        if let Some(fastest) = fastest.filter(|fastest| fastest.speed_mps > body.max_speed_mps) {
+            let problem = format!("`{}` exceeds its maxSpeed of {} m/s", body.name, body.max_speed_mps);
+            return Err(motion.action(fastest.time_s).unwrap_or(body.node).refuse(problem));
         }
         let start = motion.plan.at(start_s);
         let driver = self.drivers.get(entity).cloned().flatten();
-        if let Some(node) = motion.replaced {
-            let (name, line) = (&body.name, node.element.line);
-            self.notes.push(format!("Event (line {line}): the controller of `{name}` replaces its actions"));
+        if driver.is_some() {
+            let replaced = motion.actions.iter().map(|(_, node)| node);
+            notes.extend(replaced.map(|node| node.note(format!("the controller of `{}` replaces this", body.name))));
+            if motion.activated_s.is_none() {
+                notes.push(body.node.note("the controller is never activated: it drives from the start"));
+            }
+        }
+        let end_m = motion.plan.at(self.stop_s).position_m;
+        let road = self.replay.roads.find(body.node, Some(&self.replay.road_id), [0.0; 2])?;
+        if let Err(outside) = road.place_along(body.node, motion.lane, end_m) {
+            notes.push(format!("{outside}, at the end; the road of the scenario is endless"));
         }
         let is_scripted = driver.is_none();
-        let driver = driver.unwrap_or_else(|| Driver::Profile(script(motion, start_s, self.stop_s)));
+        let driver = driver.unwrap_or_else(|| Driver::Profile(motion.script(start_s, self.stop_s)));
         let mut spec = VehicleSpec::new(body.class, start.position_m + body.front_m, start.speed_mps, driver);
         spec.length_m = Some(body.length_m);
         spec.mass_kg = body.mass_kg;
@@ -98,9 +111,9 @@ impl LaneScenarioBuilder<'_, '_> {
             if motion.follows_path {
                 let raised = raise_limits(&mut spec, &motion.plan, [start_s, self.stop_s], self.friction);
                 let note = |needed| format!("the trajectory of `{}` needs {needed}: its limits are raised", body.name);
-                self.notes.extend(raised.map(note));
+                notes.extend(raised.map(|needed| motion.action(start_s).unwrap_or(body.node).note(note(needed))));
             }
-            self.check_limits(&spec, &motion.plan, start_s, &body.name)?;
+            self.check_limits(&spec, motion, start_s, body)?;
         } else {
             spec.jerk_limit_mps3 = body.jerk_limit_mps3;
             [spec.reaction_delay_s, spec.actuator_lag_s, spec.actuator_delay_s] = body.delays_s;
@@ -132,27 +145,38 @@ impl LaneScenarioBuilder<'_, '_> {
         }
         if !is_inside {
             let problem = format!("the entity `{}` is never in the lane of the vehicle under test", body.name);
-            return Err(self.node.refuse(problem));
+            return Err(body.node.refuse(problem));
         }
         Ok(LaneVehicle { entity, spec, enters_s })
     }
 
-    /// Refuses a script that the vehicle cannot follow.
-    fn check_limits(&self, spec: &VehicleSpec, plan: &SpeedPlan, start_s: f64, name: &str) -> Result<()> {
+    /// Refuses a script that the vehicle cannot follow. The error states the largest change of the speed until then.
+    fn check_limits(
+        &self,
+        spec: &VehicleSpec,
+        motion: &EntityMotion<'_>,
+        start_s: f64,
+        body: &Entity<'_>,
+    ) -> Result<()> {
         let [brake, accel] = [spec.max_brake_mps2() * self.friction, spec.max_accel_mps2()];
-        let (mut speed_mps, mut position_m) = (spec.speed_mps, plan.at(start_s).position_m);
+        let mut before = motion.plan.at(start_s);
+        let (mut speed_mps, mut position_m, mut hardest) = (spec.speed_mps, before.position_m, (start_s, 0.0_f64));
         let steps = ((self.stop_s - start_s) / REPLAY_STEP_S).floor() as usize;
         for step in 1..=steps {
-            let wanted = plan.at(start_s + step as f64 * REPLAY_STEP_S);
+            let wanted = motion.plan.at(start_s + step as f64 * REPLAY_STEP_S);
+            let rate_mps2 = (wanted.speed_mps - before.speed_mps) / REPLAY_STEP_S;
+            hardest = if rate_mps2.abs() > hardest.1.abs() { (before.time_s, rate_mps2) } else { hardest };
             let wanted_mps2 = (wanted.speed_mps - speed_mps) / REPLAY_STEP_S;
             let next_mps = (speed_mps + wanted_mps2.clamp(-brake, accel.max(0.0)) * REPLAY_STEP_S).max(0.0);
             position_m += 0.5 * (speed_mps + next_mps) * REPLAY_STEP_S;
-            speed_mps = next_mps;
+            (speed_mps, before) = (next_mps, wanted);
             if (position_m - wanted.position_m).abs() > FOLLOW_TOLERANCE_M {
-                return Err(self.node.refuse(format!(
-                    "at {:.2} s the entity `{name}` needs {wanted_mps2:.1} m/s², outside its limits of -{brake} and \
-                     {accel} m/s²",
-                    wanted.time_s
+                let (time_s, rate_mps2) = hardest;
+                // The action may begin within the step.
+                return Err(motion.action(time_s + REPLAY_STEP_S).unwrap_or(body.node).refuse(format!(
+                    "at {time_s:.2} s the speed of `{}` changes at {rate_mps2:.1} m/s², outside its limits of \
+                     -{brake} and {accel} m/s²",
+                    body.name
                 )));
             }
         }
@@ -192,7 +216,7 @@ impl LaneScenarioBuilder<'_, '_> {
             .motion
             .get(entity)
             .and_then(|motion| motion.lane_changes.iter().find(|change| change.depends_on_controller));
-        let node = change.map_or(self.node, |change| change.node);
+        let node = change.map_or(self.storyboard, |change| change.node);
         let behind = behind
             .ok_or_else(|| node.refuse("depends on a vehicle with a controller, which must be the next one behind"))?;
         let gap_m = self.front_m(entity, at_s) - length_m - self.front_m(behind.entity, at_s);
@@ -202,10 +226,8 @@ impl LaneScenarioBuilder<'_, '_> {
         if let Some(one) = listed.get_mut(place) {
             one.spec.enters = Some(LaneChange::Gap(gap_m));
         }
-        self.notes.push(format!(
-            "LaneChangeAction (line {}): enters at a gap of {gap_m:.2} m, as if the vehicle under test kept its speed",
-            node.element.line
-        ));
+        let text = format!("enters at a gap of {gap_m:.2} m, as if the vehicle under test kept its speed");
+        self.replay.notes.push(node.note(text));
         Ok(())
     }
 }
@@ -228,53 +250,4 @@ fn raise_limits(
     spec.max_brake_mps2 = Some(brake_mps2.max(spec.max_brake_mps2()));
     spec.max_accel_mps2 = Some(accel_mps2.max(spec.max_accel_mps2()));
     Some(format!("{lowest:.1} to {highest:.1} m/s²"))
-}
-
-/// Returns the script of a motion from a time on: braking, constant speed, or recorded speeds.
-fn script(motion: &EntityMotion<'_>, start_s: f64, stop_s: f64) -> LeadProfile {
-    let start = motion.plan.at(start_s);
-    let later = motion.plan.knots().iter().filter(|knot| knot.time_s > start_s);
-    let mut knots: Vec<(f64, f64)> = vec![(0.0, start.speed_mps)];
-    for knot in later {
-        let time_s = knot.time_s - start_s;
-        match knots.as_slice() {
-            // Only changes of the slope matter.
-            [.., (_, before_mps), (last_s, last_mps)] if before_mps == last_mps && *last_mps == knot.speed_mps => {
-                let last_s = last_s.max(time_s);
-                knots.pop();
-                knots.push((last_s, knot.speed_mps));
-            }
-            _ => knots.push((time_s, knot.speed_mps)),
-        }
-        if knot.time_s >= stop_s {
-            break;
-        }
-    }
-    let braking = match knots.as_slice() {
-        _ if motion.is_recorded => None,
-        knots if knots.iter().all(|(_, mps)| *mps == start.speed_mps) => return LeadProfile::ConstantSpeed,
-        [(from_s, from_mps), (to_s, to_mps)] if to_mps < from_mps => Some((*from_s, *from_mps, *to_s, *to_mps)),
-        [(_, held_mps), (from_s, from_mps), (to_s, to_mps)] if held_mps == from_mps && to_mps < from_mps => {
-            Some((*from_s, *from_mps, *to_s, *to_mps))
-        }
-        _ => None,
-    };
-    match braking {
-        Some((onset_s, from_mps, to_s, 0.0)) => {
-            LeadProfile::Brake(Brake { onset_s, rate_mps2: rounded(from_mps / (to_s - onset_s)) })
-        }
-        Some((onset_s, from_mps, to_s, final_speed_mps)) => {
-            let rate_mps2 = rounded((from_mps - final_speed_mps) / (to_s - onset_s));
-            LeadProfile::BrakeToSpeed(BrakeToSpeed { onset_s, rate_mps2, final_speed_mps })
-        }
-        None => {
-            let (time_s, speed_mps) = knots.into_iter().unzip();
-            LeadProfile::Recorded(RecordedSpeeds { time_s, speed_mps })
-        }
-    }
-}
-
-/// Removes the rounding errors of a quotient.
-fn rounded(value: f64) -> f64 {
-    (value * 1e10).round() / 1e10
 }

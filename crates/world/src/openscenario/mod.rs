@@ -39,6 +39,7 @@ use self::parameters::Parameters;
 use self::replay::Replay;
 use self::road::RoadMap;
 use self::source::{FileCache, SourceFiles};
+use self::storyboard::Stories;
 use self::xml::{Node, SourceElement};
 use crate::scenario::Scenario;
 
@@ -103,6 +104,9 @@ impl OpenScenarioSource {
             return Err(declarations.unwrap_or(root).refuse(format!("there is no parameter `{name}`")));
         }
         let root = Node { parameters: &parameters, ..root };
+        if root.optional("ParameterValueDistribution").is_some() {
+            return Err(root.refuse("is a file of distributions: give it with --distribution, after its scenario"));
+        }
         root.only(
             &["FileHeader", "ParameterDeclarations", "CatalogLocations", "RoadNetwork", "Entities", "Storyboard"],
             &[],
@@ -123,13 +127,13 @@ impl OpenScenarioSource {
         storyboard.only(&["Init", "Story", "StopTrigger"], &[])?;
         let drivers = entities::assign_drivers(root.child("Entities")?, &entities, ego)?;
         let initial = initial::read_initial(storyboard.child("Init")?, &entities, &roads, &files)?;
-        let (events, mut acts) = storyboard::read_stories(storyboard, &entities)?;
+        let Stories { events, mut event_triggers, mut act_triggers } = storyboard::read_stories(storyboard, &entities)?;
         let is_controlled: Vec<bool> = drivers.iter().map(Option::is_some).collect();
-        let mut replay = Replay::new(&entities, &initial, &is_controlled, events, &roads)?;
-        let (stop_s, stop_depends) = replay.run(&mut acts, storyboard.optional("StopTrigger"), storyboard)?;
+        let friction = initial.friction;
+        let mut replay = Replay::new(&entities, initial, &is_controlled, events, &roads)?;
+        let (stop_s, stop_depends) = replay.run(&mut act_triggers, &mut event_triggers, storyboard)?;
         let (name, about) = self.name_and_about(header)?;
-        let (node, friction, notes) = (root.child("Entities")?, initial.friction, initial.notes);
-        LaneScenarioBuilder { node, replay, drivers, friction, stop_s, stop_depends, name, about, notes }.build()
+        LaneScenarioBuilder { storyboard, replay, drivers, friction, stop_s, stop_depends, name, about }.build()
     }
 
     /// Returns the name and the purpose of the scenario: those of crumple's export, or the file's name and description.

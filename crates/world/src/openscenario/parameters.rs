@@ -81,6 +81,12 @@ impl Parameters {
     }
 }
 
+/// Reads a parameter and its value.
+pub(super) fn read_assignment(node: Node<'_>) -> Result<(String, String), ScenarioImportError> {
+    node.only(&[], &["parameterRef", "value"])?;
+    Ok((node.text("parameterRef")?, node.text("value")?))
+}
+
 fn compare(value: &str, rule: &str, other: &str) -> Result<bool, String> {
     let numbers = value.trim().parse::<f64>().ok().zip(other.trim().parse::<f64>().ok());
     let is_equal = numbers.map_or(value == other, |(a, b)| a == b);
@@ -122,31 +128,23 @@ impl ExpressionParser<'_> {
     }
 
     fn sum(&mut self) -> Result<f64, String> {
-        let mut value = self.product()?;
-        loop {
-            if self.take('+') {
-                value += self.product()?;
-            } else if self.take('-') {
-                value -= self.product()?;
-            } else {
-                return Ok(value);
-            }
-        }
+        self.chain(&['+', '-'], |parser| parser.chain(&['*', '/', '%'], Self::factor))
     }
 
-    fn product(&mut self) -> Result<f64, String> {
-        let mut value = self.factor()?;
-        loop {
-            if self.take('*') {
-                value *= self.factor()?;
-            } else if self.take('/') {
-                value /= self.factor()?;
-            } else if self.take('%') {
-                value %= self.factor()?;
-            } else {
-                return Ok(value);
-            }
+    /// Parses values between operators of one precedence.
+    fn chain(&mut self, operators: &[char], value: impl Fn(&mut Self) -> Result<f64, String>) -> Result<f64, String> {
+        let mut result = value(self)?;
+        while let Some(operator) = operators.iter().find(|operator| self.take(**operator)) {
+            let other = value(self)?;
+            result = match operator {
+                '+' => result + other,
+                '-' => result - other,
+                '*' => result * other,
+                '/' => result / other,
+                _ => result % other,
+            };
         }
+        Ok(result)
     }
 
     fn factor(&mut self) -> Result<f64, String> {
@@ -171,13 +169,7 @@ impl ExpressionParser<'_> {
                 ("ceil", [a]) => a.ceil(),
                 ("sqrt", [a]) => a.sqrt(),
                 ("abs", [a]) => a.abs(),
-                ("sign", [a]) => {
-                    if *a == 0.0 {
-                        0.0
-                    } else {
-                        a.signum()
-                    }
-                }
+                ("sign", [a]) => f64::from(i8::from(*a > 0.0) - i8::from(*a < 0.0)),
                 ("pow", [a, b]) => libm::pow(*a, *b),
                 ("min", [a, b]) => a.min(*b),
                 ("max", [a, b]) => a.max(*b),

@@ -1,15 +1,93 @@
 //! Actions that move along a path: trajectories and lane changes.
 
+use super::entities::Entity;
 use super::error::ScenarioImportError;
 use super::initial::resolve_place;
 use super::replay::{LaneChangeTimes, MAX_DURATION_S, Replay};
-use super::speed_plan::TransitionShape;
-use super::storyboard::{LaneChangeAction, LaneTarget, TrajectoryAction};
+use super::speed_plan::{TransitionDynamics, TransitionShape};
+use super::storyboard::{StoryAction, entity_index};
+use super::xml::Node;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
 /// Largest distance of the first vertex of a trajectory from the entity, in metres.
 const START_TOLERANCE_M: f64 = 0.01;
+
+pub(super) struct LaneChangeAction<'a> {
+    pub(super) node: Node<'a>,
+    pub(super) dynamics: TransitionDynamics,
+    pub(super) target: LaneTarget,
+}
+
+pub(super) enum LaneTarget {
+    Absolute(i32),
+    /// Number of lanes to the left of an entity.
+    Relative(usize, i32),
+}
+
+pub(super) struct TrajectoryAction<'a> {
+    pub(super) node: Node<'a>,
+    /// Times and positions of the vertices.
+    pub(super) vertices: Vec<(f64, Node<'a>)>,
+    /// True if times count from the start of the action.
+    pub(super) is_relative: bool,
+}
+
+pub(super) fn read_lane_change<'a>(node: Node<'a>, entities: &[Entity<'_>]) -> Result<StoryAction<'a>> {
+    node.only(&["LaneChangeActionDynamics", "LaneChangeTarget"], &["targetLaneOffset"])?;
+    if node.optional_number("targetLaneOffset")?.is_some_and(|offset_m| offset_m != 0.0) {
+        return Err(node.refuse("targetLaneOffset is lateral: vehicles drive in the middle of a lane"));
+    }
+    let dynamics = TransitionDynamics::read(node.child("LaneChangeActionDynamics")?)?;
+    let target = node.child("LaneChangeTarget")?.single()?;
+    let lane = lane_number(target, "value")?;
+    let target = match target.name() {
+        "AbsoluteTargetLane" => LaneTarget::Absolute(lane),
+        "RelativeTargetLane" => LaneTarget::Relative(entity_index(target, "entityRef", entities)?, lane),
+        _ => return Err(target.refuse("is not supported as a target lane")),
+    };
+    Ok(StoryAction::LaneChange(LaneChangeAction { node, dynamics, target }))
+}
+
+/// Returns the whole number of an attribute.
+pub(super) fn lane_number(node: Node<'_>, name: &str) -> Result<i32> {
+    match node.number(name)? {
+        number if number.fract() == 0.0 && number.abs() <= 1000.0 => Ok(number as i32),
+        number => Err(node.refuse(format!("attribute `{name}`: {number} is not the number of a lane"))),
+    }
+}
+
+pub(super) fn read_trajectory<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
+    node.only(&["Trajectory", "TrajectoryRef", "TimeReference", "TrajectoryFollowingMode"], &[])?;
+    let holder = node.optional("TrajectoryRef").unwrap_or(node);
+    let trajectory = holder.child("Trajectory")?;
+    trajectory.only(&["ParameterDeclarations", "Shape"], &["name", "closed"])?;
+    if trajectory.flag("closed", false)? {
+        return Err(trajectory.refuse("a closed trajectory is not supported"));
+    }
+    let shape = trajectory.child("Shape")?.single()?;
+    if shape.name() != "Polyline" {
+        return Err(shape.refuse("is not supported as a shape, only Polyline"));
+    }
+    let timing = node.child("TimeReference")?.single()?;
+    if timing.name() != "Timing" {
+        return Err(timing.refuse("a trajectory must have times"));
+    }
+    timing.only(&[], &["domainAbsoluteRelative", "scale", "offset"])?;
+    timing.expect("domainAbsoluteRelative", &["absolute", "relative"])?;
+    let is_relative = timing.text("domainAbsoluteRelative")? == "relative";
+    let (scale, offset_s) = (timing.number("scale")?, timing.number("offset")?);
+    let mut vertices: Vec<(f64, Node<'a>)> = Vec::new();
+    for vertex in shape.children() {
+        vertex.only(&["Position"], &["time"])?;
+        let time_s = vertex.number("time")? * scale + offset_s;
+        if vertices.last().is_some_and(|(before_s, _)| *before_s >= time_s) {
+            return Err(vertex.refuse("times of vertices must increase"));
+        }
+        vertices.push((time_s, vertex.child("Position")?.single()?));
+    }
+    Ok(StoryAction::Trajectory(TrajectoryAction { node, vertices, is_relative }))
+}
 
 impl<'a> Replay<'a, '_> {
     /// Returns times and positions of the vertices until the entity would leave its lane, which is an error.

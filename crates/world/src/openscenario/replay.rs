@@ -32,8 +32,15 @@ pub(super) struct EntityMotion<'a> {
     pub(super) lane_changes: Vec<LaneChangeTimes<'a>>,
     pub(super) activated_s: Option<f64>,
     pub(super) is_controlled: bool,
-    /// First action of a controlled entity that its controller replaces.
-    pub(super) replaced: Option<Node<'a>>,
+    /// Start times of actions on the speed; its controller replaces those of a controlled entity.
+    pub(super) actions: Vec<(f64, Node<'a>)>,
+}
+
+impl<'a> EntityMotion<'a> {
+    /// Returns the last action on the speed that starts before a time.
+    pub(super) fn action(&self, time_s: f64) -> Option<Node<'a>> {
+        self.actions.iter().rfind(|(start_s, _)| *start_s <= time_s).map(|(_, node)| *node)
+    }
 }
 
 /// A lane change.
@@ -45,29 +52,20 @@ pub(super) struct LaneChangeTimes<'a> {
     pub(super) depends_on_controller: bool,
 }
 
-#[derive(Default, Clone, Copy)]
-pub(super) struct EventTimes {
-    pub(super) start_s: Option<f64>,
-    pub(super) end_s: Option<f64>,
-    pub(super) depends: bool,
-}
-
 pub(super) struct Replay<'a, 'b> {
-    pub(super) entities: &'b [Entity],
+    pub(super) entities: &'b [Entity<'a>],
     pub(super) motion: Vec<EntityMotion<'a>>,
     pub(super) events: Vec<StoryEvent<'a>>,
-    pub(super) times: Vec<EventTimes>,
-    /// Ends of the actions of each event, in their order.
-    pub(super) action_ends_s: Vec<Vec<f64>>,
     pub(super) roads: &'b RoadMap<'b>,
     pub(super) road_id: String,
+    pub(super) notes: Vec<String>,
     now_s: f64,
 }
 
 impl<'a, 'b> Replay<'a, 'b> {
     pub(super) fn new(
-        entities: &'b [Entity],
-        initial: &InitialState<'a>,
+        entities: &'b [Entity<'a>],
+        initial: InitialState<'a>,
         is_controlled: &[bool],
         events: Vec<StoryEvent<'a>>,
         roads: &'b RoadMap<'b>,
@@ -81,39 +79,37 @@ impl<'a, 'b> Replay<'a, 'b> {
             lane_changes: Vec::new(),
             activated_s: is_active.then_some(0.0),
             is_controlled,
-            replaced: None,
+            actions: Vec::new(),
         });
         let motion = motion.collect();
-        let (times, action_ends_s) = (vec![EventTimes::default(); events.len()], vec![Vec::new(); events.len()]);
         let road_id = initial.places.first().map_or_else(String::new, |place| place.road.clone());
-        let mut replay = Self { entities, motion, events, times, action_ends_s, roads, road_id, now_s: 0.0 };
-        for (entity, action) in &initial.transitions {
-            let to_mps =
-                action.target.speed_mps(action.target.reference().map_or(0.0, |other| replay.speed_mps(other, 0.0)));
-            if let Some(motion) = replay.motion.get_mut(*entity) {
+        let mut replay = Self { entities, motion, events, roads, road_id, notes: initial.notes, now_s: 0.0 };
+        for (entity, action) in initial.transitions {
+            let reference_mps = action.target.reference.map_or(0.0, |other| replay.speed_mps(other, 0.0));
+            let to_mps = action.target.speed_mps(action.node, reference_mps)?;
+            if let Some(motion) = replay.motion.get_mut(entity) {
                 if motion.is_controlled {
                     return Err(action.node.refuse("the initial speed of a controlled entity must be a step"));
                 }
-                motion.plan.change_speed(action.node, 0.0, to_mps.max(0.0), action.dynamics)?;
+                motion.actions.push((0.0, action.node));
+                motion.plan.change_speed(action.node, 0.0, to_mps, action.dynamics)?;
             }
         }
         Ok(replay)
     }
 
-    /// Replays until the stop trigger fires, and returns this time.
+    /// Replays until the stop trigger fires, and returns this time and true if it depends on a controller.
     pub(super) fn run(
         &mut self,
         acts: &mut [Trigger<'a>],
-        stop: Option<Node<'a>>,
+        triggers: &mut [Trigger<'a>],
         storyboard: Node<'a>,
     ) -> Result<(f64, bool)> {
-        let stop = stop.filter(|stop| stop.children().next().is_some());
+        let stop = storyboard.optional("StopTrigger").filter(|stop| stop.children().next().is_some());
         let stop = stop.ok_or_else(|| storyboard.refuse("has no stop trigger, which determines the duration"))?;
         let mut stop_trigger = Trigger::read(Some(stop), self.entities)?;
-        let conditions =
-            |events: &[StoryEvent<'_>]| events.iter().map(|event| event.trigger.conditions()).sum::<usize>();
-        let work = (conditions(&self.events) + acts.iter().map(Trigger::conditions).sum::<usize>() + 1)
-            * (self.events.len() + 1);
+        let conditions = triggers.iter().chain(acts.iter()).map(Trigger::conditions).sum::<usize>();
+        let work = (conditions + 1) * (self.events.len() + 1);
         let mut act_starts_s = vec![None; acts.len()];
         let mut before_s = 0.0;
         for step in 0..=(MAX_DURATION_S / REPLAY_STEP_S) as usize {
@@ -124,7 +120,14 @@ impl<'a, 'b> Replay<'a, 'b> {
             for (act, start_s) in acts.iter_mut().zip(&mut act_starts_s).filter(|(_, start_s)| start_s.is_none()) {
                 *start_s = act.fires(self, before_s, self.now_s)?;
             }
-            self.start_events(&act_starts_s, before_s)?;
+            for (index, trigger) in triggers.iter_mut().enumerate() {
+                let waiting = self.events.get(index).filter(|event| event.start_s.is_none());
+                let act = waiting.and_then(|event| act_starts_s.get(event.act).copied().flatten());
+                let Some((act_s, act_depends)) = act else { continue };
+                if let Some((fired_s, depends)) = trigger.fires(self, before_s, self.now_s)? {
+                    self.start_event(index, fired_s.max(act_s), depends || act_depends)?;
+                }
+            }
             if let Some(stopped) = stop_trigger.fires(self, before_s, self.now_s)? {
                 return Ok(stopped);
             }
@@ -133,60 +136,28 @@ impl<'a, 'b> Replay<'a, 'b> {
         Err(stop.refuse(format!("does not fire within {MAX_DURATION_S} s")))
     }
 
-    /// Starts the events whose triggers fired since `before_s`.
-    fn start_events(&mut self, act_starts_s: &[Option<(f64, bool)>], before_s: f64) -> Result<()> {
-        for index in 0..self.events.len() {
-            let Some(event) = self.events.get(index) else { return Ok(()) };
-            let act = act_starts_s.get(event.act).copied().flatten();
-            let is_waiting = self.times.get(index).is_some_and(|times| times.start_s.is_none());
-            let Some((act_s, act_depends)) = act.filter(|_| is_waiting) else { continue };
-            // The trigger changes while it reads the state, so it is taken out of the state.
-            let nothing = Trigger::read(None, self.entities)?;
-            let Some(event) = self.events.get_mut(index) else { return Ok(()) };
-            let mut trigger = std::mem::replace(&mut event.trigger, nothing);
-            let fired = trigger.fires(self, before_s, self.now_s);
-            if let Some(event) = self.events.get_mut(index) {
-                event.trigger = trigger;
-            }
-            let Some((fired_s, depends)) = fired? else { continue };
-            self.start_event(index, fired_s.max(act_s), depends || act_depends)?;
-        }
-        Ok(())
-    }
-
     fn start_event(&mut self, index: usize, start_s: f64, depends: bool) -> Result<()> {
-        let mut ends_s = Vec::new();
-        let Some(event) = self.events.get_mut(index) else { return Ok(()) };
-        let (actors, actions, node) = (event.actors.clone(), std::mem::take(&mut event.actions), event.node);
-        for (_, action) in &actions {
+        let Some(mut event) = self.events.get(index).cloned() else { return Ok(()) };
+        for (_, action) in &*event.actions {
             let mut end_s = start_s;
-            for &actor in &actors {
-                end_s = self.start_action(node, actor, action, start_s, depends)?.max(end_s);
+            for &actor in &event.actors {
+                end_s = self.start_action(event.node, actor, action, start_s, depends)?.max(end_s);
             }
-            ends_s.push(end_s);
+            event.action_ends_s.push(end_s);
         }
-        if actions.iter().any(|(_, action)| action.changes_speed()) {
-            self.stop_earlier_actions(&actors, start_s);
+        if event.actions.iter().any(|(_, action)| action.changes_speed()) {
+            self.stop_earlier_actions(&event.actors, start_s);
         }
-        let end_s = ends_s.iter().copied().fold(start_s, f64::max);
-        if let (Some(event), Some(times)) = (self.events.get_mut(index), self.times.get_mut(index)) {
-            event.actions = actions;
-            *times = EventTimes { start_s: Some(start_s), end_s: Some(end_s), depends };
-        }
-        if let Some(known) = self.action_ends_s.get_mut(index) {
-            *known = ends_s;
-        }
+        (event.start_s, event.depends) = (Some(start_s), depends);
+        self.events.get_mut(index).map(|slot| std::mem::replace(slot, event));
         Ok(())
     }
 
     /// Ends the running actions that an action on the speed of the same entities replaces.
     fn stop_earlier_actions(&mut self, actors: &[usize], time_s: f64) {
-        for ((event, ends_s), times) in self.events.iter().zip(&mut self.action_ends_s).zip(&mut self.times) {
-            if event.actors.iter().any(|actor| actors.contains(actor)) && times.end_s.is_some() {
-                for ((_, action), end_s) in event.actions.iter().zip(ends_s.iter_mut()) {
-                    *end_s = if action.changes_speed() { end_s.min(time_s) } else { *end_s };
-                }
-                times.end_s = ends_s.iter().copied().reduce(f64::max).or(times.end_s);
+        for event in self.events.iter_mut().filter(|event| event.actors.iter().any(|actor| actors.contains(actor))) {
+            for ((_, action), end_s) in event.actions.iter().zip(&mut event.action_ends_s) {
+                *end_s = if action.changes_speed() { end_s.min(time_s) } else { *end_s };
             }
         }
     }
@@ -200,11 +171,6 @@ impl<'a, 'b> Replay<'a, 'b> {
         start_s: f64,
         depends: bool,
     ) -> Result<f64> {
-        let reference_mps = match action {
-            StoryAction::Speed(speed) => speed.target.reference().map(|other| (other, self.speed_mps(other, start_s))),
-            _ => None,
-        };
-        let depends_on_reference = reference_mps.is_some_and(|(other, _)| self.is_controlled(other));
         let vertices = match action {
             StoryAction::Trajectory(trajectory) if !self.is_controlled(actor) => {
                 self.trajectory_vertices(trajectory, actor, start_s)?
@@ -214,22 +180,22 @@ impl<'a, 'b> Replay<'a, 'b> {
         if let StoryAction::LaneChange(change) = action {
             return self.change_lane(change, actor, start_s, depends);
         }
+        let reference = if let StoryAction::Speed(speed) = action { speed.target.reference } else { None };
+        let reference_mps = reference.map_or(0.0, |other| self.speed_mps(other, start_s));
+        let assumed = reference.filter(|other| self.is_controlled(*other)).and_then(|other| self.entities.get(other));
         let Some(motion) = self.motion.get_mut(actor) else { return Ok(start_s) };
         if let StoryAction::Activate = action {
             motion.activated_s = Some(motion.activated_s.map_or(start_s, |before_s| before_s.min(start_s)));
             return Ok(start_s);
         }
         if motion.is_controlled {
-            motion.replaced = motion.replaced.or(Some(event));
+            motion.actions.push((start_s, event));
             return Ok(start_s);
         }
         let before = motion.plan.clone();
         let (node, end_s) = match action {
             StoryAction::Speed(speed) => {
-                let to_mps = speed.target.speed_mps(reference_mps.map_or(0.0, |(_, mps)| mps));
-                if to_mps < 0.0 {
-                    return Err(speed.node.refuse(format!("the speed would be {to_mps} m/s")));
-                }
+                let to_mps = speed.target.speed_mps(speed.node, reference_mps)?;
                 (speed.node, motion.plan.change_speed(speed.node, start_s, to_mps, speed.dynamics)?)
             }
             StoryAction::SpeedProfile(entries) => {
@@ -244,15 +210,19 @@ impl<'a, 'b> Replay<'a, 'b> {
             }
             StoryAction::Trajectory(trajectory) => {
                 (motion.is_recorded, motion.follows_path) = (true, true);
-                motion.plan.follow(&vertices, REPLAY_STEP_S);
+                motion.plan.follow(&vertices);
                 (trajectory.node, vertices.last().map_or(start_s, |(time_s, _)| *time_s))
             }
             StoryAction::LaneChange(_) | StoryAction::Activate => (event, start_s),
         };
+        motion.actions.push((start_s, node));
         let changes_speed = motion.plan.knots().iter().any(|knot| before.at(knot.time_s).speed_mps != knot.speed_mps);
-        if changes_speed && (depends || depends_on_reference) {
+        if changes_speed && depends {
             return Err(node.refuse("depends on an entity with a controller: scripts depend only on the time"));
         }
+        self.notes.extend(
+            assumed.map(|other| node.note(format!("is relative to `{}`, as if it kept its speed", other.name))),
+        );
         Ok(end_s)
     }
 }

@@ -181,7 +181,7 @@ impl StraightRoad {
         let travel_rad = self.heading_rad + if self.direction(lane.id) > 0.0 { 0.0 } else { std::f64::consts::PI };
         match heading_rad.map(|heading_rad| libm::cos(heading_rad - travel_rad)) {
             Some(cosine) if cosine < libm::cos(HEADING_TOLERANCE_RAD) => {
-                Err(node.refuse("the direction differs from that of the lane"))
+                Err(node.refuse(format!("`h` is not {travel_rad} rad, the direction of lane {}", lane.id)))
             }
             _ => self.place(node, lane.id, s_m),
         }

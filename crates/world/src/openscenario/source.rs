@@ -53,7 +53,7 @@ impl FileCache {
 fn read_bytes(path: &Path) -> Result<Vec<u8>> {
     let read = || {
         if !fs::metadata(path)?.is_file() {
-            return Err(io::Error::new(io::ErrorKind::InvalidInput, "is not a regular file"));
+            return Err(io::Error::new(io::ErrorKind::InvalidData, "is not a regular file"));
         }
         let mut bytes = Vec::new();
         File::open(path)?.take(MAX_XML_BYTES + 1).read_to_end(&mut bytes)?;
@@ -98,7 +98,15 @@ impl<'a> SourceFiles<'a> {
     pub(super) fn road(&self, reference: Node<'_>) -> Result<Rc<SourceElement>> {
         reference.only(&[], &["filepath"])?;
         let path = reference.text("filepath")?;
-        self.cache.load(&self.folder.join(path), "OpenDRIVE")
+        self.load(reference, &self.folder.join(path), "OpenDRIVE")
+    }
+
+    /// Reads a file. The error for an unreadable file names the element that refers to it.
+    fn load(&self, reference: Node<'_>, path: &Path, root: &str) -> Result<Rc<SourceElement>> {
+        self.cache.load(path, root).map_err(|error| match error {
+            ScenarioImportError::Read { .. } => reference.refuse(error.to_string()),
+            other => other,
+        })
     }
 
     /// Reads the entry of a catalogue to which an element refers.
@@ -112,7 +120,7 @@ impl<'a> SourceFiles<'a> {
         let (catalog, name) = (reference.text("catalogName")?, reference.text("entryName")?);
         let none = Parameters::default();
         for file in &self.catalog_files {
-            let root = self.cache.load(file, "OpenSCENARIO")?;
+            let root = self.load(reference, file, "OpenSCENARIO")?;
             let root = Node { element: &root, parameters: &none };
             let Some(found) = root.optional("Catalog").filter(|found| found.raw("name") == Some(&catalog)) else {
                 continue;

@@ -116,10 +116,6 @@ impl SpeedPlan {
         &self.knots
     }
 
-    pub(super) fn max_speed_mps(&self) -> f64 {
-        self.knots.iter().map(|knot| knot.speed_mps).fold(0.0, f64::max)
-    }
-
     /// Returns the state at a time; the last speed is held.
     pub(super) fn at(&self, time_s: f64) -> SpeedKnot {
         let next = self.knots.partition_point(|knot| knot.time_s <= time_s).max(1);
@@ -195,18 +191,21 @@ impl SpeedPlan {
         high_s
     }
 
-    /// Follows vertices of time and position from the first on. `step_s` is the step of the simulation.
+    /// Follows vertices of time and position from the first on.
     ///
-    /// Positions of a polyline determine only mean speeds. Over segments of more than a step the speed is constant up
-    /// to one step from each end. In shorter segments the speed at the end follows from that at the start; errors of
-    /// the speed alternate and decay, and errors of the position are corrected in the next segment.
-    pub(super) fn follow(&mut self, vertices: &[(f64, f64)], step_s: f64) {
+    /// The shortest segment is the step of the simulation, except at the end, where a collision may cut it. Positions
+    /// determine only mean speeds. Over segments of more than a step the speed is constant up to one step from each
+    /// end. In shorter segments the speed at the end follows from that at the start; errors of the speed alternate and
+    /// decay, and errors of the position are corrected in the next segment.
+    pub(super) fn follow(&mut self, vertices: &[(f64, f64)]) {
         /// Largest difference of the speed at the end of a segment from its mean in crumple's export, in m/s.
         const SPEED_TOLERANCE_MPS: f64 = 0.005;
         /// Share of an alternating error that remains after a segment.
-        const REMAINING_RIPPLE: f64 = 0.95;
+        const REMAINING_RIPPLE: f64 = 0.99;
         let Some(&(start_s, _)) = vertices.first() else { return };
         self.cut(start_s);
+        let spans_s = vertices.windows(2).rev().skip(2).filter_map(|pair| Some(pair.last()?.0 - pair.first()?.0));
+        let step_s = spans_s.fold(f64::INFINITY, f64::min);
         let mean_mps = |index: usize| match vertices.get(index..index + 2) {
             Some([(from_s, from_m), (to_s, to_m)]) => Some(((to_m - from_m) / (to_s - from_s), to_s - from_s)),
             _ => None,

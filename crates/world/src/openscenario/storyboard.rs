@@ -1,14 +1,27 @@
 //! Stories, events and actions of the storyboard.
 
+use std::rc::Rc;
+
 use super::entities::Entity;
 use super::error::ScenarioImportError;
+use super::path_actions::{LaneChangeAction, TrajectoryAction, read_lane_change, read_trajectory};
 use super::speed_plan::TransitionDynamics;
 use super::trigger::Trigger;
 use super::xml::Node;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
-/// An event, with the triggers that it waits for.
+/// Events of the stories, and what they wait for.
+pub(super) struct Stories<'a> {
+    pub(super) events: Vec<StoryEvent<'a>>,
+    /// Start triggers of the events, in their order.
+    pub(super) event_triggers: Vec<Trigger<'a>>,
+    /// Start triggers of the acts.
+    pub(super) act_triggers: Vec<Trigger<'a>>,
+}
+
+/// An event, and when it happened in the replay.
+#[derive(Clone)]
 pub(super) struct StoryEvent<'a> {
     pub(super) node: Node<'a>,
     pub(super) name: String,
@@ -17,8 +30,19 @@ pub(super) struct StoryEvent<'a> {
     /// Index of the act in the file.
     pub(super) act: usize,
     pub(super) actors: Vec<usize>,
-    pub(super) actions: Vec<(String, StoryAction<'a>)>,
-    pub(super) trigger: Trigger<'a>,
+    pub(super) actions: Rc<[(String, StoryAction<'a>)]>,
+    pub(super) start_s: Option<f64>,
+    /// Ends of the actions, in their order.
+    pub(super) action_ends_s: Vec<f64>,
+    /// True if the start depends on a controller.
+    pub(super) depends: bool,
+}
+
+impl StoryEvent<'_> {
+    /// Returns the end of the event; `None` before its start.
+    pub(super) fn end_s(&self) -> Option<f64> {
+        self.start_s.map(|start_s| self.action_ends_s.iter().copied().reduce(f64::max).unwrap_or(start_s))
+    }
 }
 
 /// An action of an entity.
@@ -44,64 +68,30 @@ pub(super) struct SpeedAction<'a> {
     pub(super) target: SpeedTarget,
 }
 
+/// A speed: that of an entity times a factor, plus an offset.
 #[derive(Clone, Copy)]
-pub(super) enum SpeedTarget {
-    Absolute(f64),
-    /// Speed of an entity plus a difference, in m/s.
-    Difference(usize, f64),
-    /// Speed of an entity times a factor.
-    Factor(usize, f64),
+pub(super) struct SpeedTarget {
+    pub(super) reference: Option<usize>,
+    factor: f64,
+    offset_mps: f64,
 }
 
 impl SpeedTarget {
-    pub(super) fn reference(self) -> Option<usize> {
-        match self {
-            Self::Absolute(_) => None,
-            Self::Difference(entity, _) | Self::Factor(entity, _) => Some(entity),
-        }
-    }
-
-    pub(super) fn speed_mps(self, reference_mps: f64) -> f64 {
-        match self {
-            Self::Absolute(mps) => mps,
-            Self::Difference(_, mps) => reference_mps + mps,
-            Self::Factor(_, factor) => reference_mps * factor,
-        }
+    pub(super) fn speed_mps(self, node: Node<'_>, reference_mps: f64) -> Result<f64> {
+        let mps = self.factor * reference_mps + self.offset_mps;
+        if mps < 0.0 { Err(node.refuse(format!("the speed would be {mps} m/s"))) } else { Ok(mps) }
     }
 }
 
-pub(super) struct LaneChangeAction<'a> {
-    pub(super) node: Node<'a>,
-    pub(super) dynamics: TransitionDynamics,
-    pub(super) target: LaneTarget,
-}
-
-pub(super) enum LaneTarget {
-    Absolute(i32),
-    /// Number of lanes to the left of an entity.
-    Relative(usize, i32),
-}
-
-pub(super) struct TrajectoryAction<'a> {
-    pub(super) node: Node<'a>,
-    /// Times and positions of the vertices.
-    pub(super) vertices: Vec<(f64, Node<'a>)>,
-    /// True if times count from the start of the action.
-    pub(super) is_relative: bool,
-}
-
-pub(super) fn entity_index(node: Node<'_>, attribute: &str, entities: &[Entity]) -> Result<usize> {
+pub(super) fn entity_index(node: Node<'_>, attribute: &str, entities: &[Entity<'_>]) -> Result<usize> {
     let name = node.text(attribute)?;
     let found = entities.iter().position(|entity| entity.name == name);
     found.ok_or_else(|| node.refuse(format!("there is no entity `{name}`")))
 }
 
-/// Reads all events, and the start triggers of the acts.
-pub(super) fn read_stories<'a>(
-    storyboard: Node<'a>,
-    entities: &[Entity],
-) -> Result<(Vec<StoryEvent<'a>>, Vec<Trigger<'a>>)> {
-    let (mut events, mut acts) = (Vec::new(), Vec::new());
+/// Reads all events with their triggers.
+pub(super) fn read_stories<'a>(storyboard: Node<'a>, entities: &[Entity<'_>]) -> Result<Stories<'a>> {
+    let mut stories = Stories { events: Vec::new(), event_triggers: Vec::new(), act_triggers: Vec::new() };
     for story in storyboard.named("Story") {
         story.only(&["Act", "ParameterDeclarations"], &["name"])?;
         if let Some(declared) = story.named("ParameterDeclarations").find_map(|list| list.children().next()) {
@@ -112,55 +102,64 @@ pub(super) fn read_stories<'a>(
             if let Some(stop) = act.named("StopTrigger").find_map(|stop| stop.children().next()) {
                 return Err(stop.refuse("a stop trigger of an act is not supported"));
             }
-            acts.push(Trigger::read(act.optional("StartTrigger"), entities)?);
             for group in act.named("ManeuverGroup") {
                 let names = [story.text("name")?, act.text("name")?, group.text("name")?];
-                read_group(group, names, acts.len() - 1, entities, &mut events)?;
+                read_group(group, names, entities, &mut stories)?;
             }
+            stories.act_triggers.push(Trigger::read(act.optional("StartTrigger"), entities)?);
         }
     }
-    Ok((events, acts))
+    Ok(stories)
 }
 
 fn read_group<'a>(
     group: Node<'a>,
     [story, act, group_name]: [String; 3],
-    act_index: usize,
-    entities: &[Entity],
-    events: &mut Vec<StoryEvent<'a>>,
+    entities: &[Entity<'_>],
+    stories: &mut Stories<'a>,
 ) -> Result<()> {
     group.only(&["Actors", "Maneuver"], &["name", "maximumExecutionCount"])?;
     group.expect("maximumExecutionCount", &["1"])?;
-    let actors = group.child("Actors")?;
-    actors.only(&["EntityRef"], &["selectTriggeringEntities"])?;
-    if actors.flag("selectTriggeringEntities", false)? {
-        return Err(actors.refuse("triggering entities as actors are not supported"));
+    let list = group.child("Actors")?;
+    list.only(&["EntityRef"], &["selectTriggeringEntities"])?;
+    if list.flag("selectTriggeringEntities", false)? {
+        return Err(list.refuse("triggering entities as actors are not supported"));
     }
-    let actors =
-        actors.children().map(|actor| entity_index(actor, "entityRef", entities)).collect::<Result<Vec<_>>>()?;
+    let actors = list.children().map(|actor| entity_index(actor, "entityRef", entities)).collect::<Result<Vec<_>>>()?;
     for maneuver in group.named("Maneuver") {
         maneuver.only(&["Event", "ParameterDeclarations"], &["name"])?;
         for node in maneuver.named("Event") {
             node.only(&["Action", "StartTrigger"], &["name", "priority", "maximumExecutionCount"])?;
             node.expect("maximumExecutionCount", &["1"])?;
             node.expect("priority", &["override", "overwrite", "parallel"])?;
+            if actors.is_empty() {
+                return Err(list.refuse("names no entity for the actions of the events"));
+            }
             let mut actions = Vec::new();
             for action in node.named("Action") {
                 action.only(&["PrivateAction"], &["name"])?;
                 let inner = action.single()?.single()?;
                 actions.push((action.text("name")?, read_action(inner, entities)?));
             }
-            let parents = [story.clone(), act.clone(), group_name.clone(), maneuver.text("name")?];
-            let trigger = Trigger::read(node.optional("StartTrigger"), entities)?;
-            let (name, actors) = (node.text("name")?, actors.clone());
-            events.push(StoryEvent { node, name, parents, act: act_index, actors, actions, trigger });
+            stories.event_triggers.push(Trigger::read(node.optional("StartTrigger"), entities)?);
+            stories.events.push(StoryEvent {
+                node,
+                name: node.text("name")?,
+                parents: [story.clone(), act.clone(), group_name.clone(), maneuver.text("name")?],
+                act: stories.act_triggers.len(),
+                actors: actors.clone(),
+                actions: actions.into(),
+                start_s: None,
+                action_ends_s: Vec::new(),
+                depends: false,
+            });
         }
     }
     Ok(())
 }
 
 /// Reads a private action.
-pub(super) fn read_action<'a>(action: Node<'a>, entities: &[Entity]) -> Result<StoryAction<'a>> {
+pub(super) fn read_action<'a>(action: Node<'a>, entities: &[Entity<'_>]) -> Result<StoryAction<'a>> {
     match action.name() {
         "LongitudinalAction" => {
             let inner = action.single()?;
@@ -203,24 +202,24 @@ fn read_activation<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
     }
 }
 
-pub(super) fn read_speed<'a>(node: Node<'a>, entities: &[Entity]) -> Result<SpeedAction<'a>> {
+pub(super) fn read_speed<'a>(node: Node<'a>, entities: &[Entity<'_>]) -> Result<SpeedAction<'a>> {
     node.only(&["SpeedActionDynamics", "SpeedActionTarget"], &[])?;
     let dynamics = TransitionDynamics::read(node.child("SpeedActionDynamics")?)?;
     let target = node.child("SpeedActionTarget")?.single()?;
     let target = match target.name() {
         "AbsoluteTargetSpeed" => {
             target.only(&[], &["value"])?;
-            SpeedTarget::Absolute(target.non_negative("value")?)
+            SpeedTarget { reference: None, factor: 0.0, offset_mps: target.non_negative("value")? }
         }
         "RelativeTargetSpeed" => {
             target.only(&[], &["entityRef", "value", "speedTargetValueType", "continuous"])?;
             if target.flag("continuous", false)? {
                 return Err(target.refuse("a continuous target is not supported"));
             }
-            let (entity, value) = (entity_index(target, "entityRef", entities)?, target.number("value")?);
+            let (reference, value) = (Some(entity_index(target, "entityRef", entities)?), target.number("value")?);
             match target.text("speedTargetValueType")?.as_str() {
-                "delta" => SpeedTarget::Difference(entity, value),
-                "factor" => SpeedTarget::Factor(entity, value),
+                "delta" => SpeedTarget { reference, factor: 1.0, offset_mps: value },
+                "factor" => SpeedTarget { reference, factor: value, offset_mps: 0.0 },
                 other => return Err(target.refuse(format!("`{other}` is not supported"))),
             }
         }
@@ -237,60 +236,4 @@ fn read_profile<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
         Ok((entry.non_negative("time")?, entry.non_negative("speed")?))
     };
     Ok(StoryAction::SpeedProfile(node.children().map(read).collect::<Result<Vec<_>>>()?))
-}
-
-fn read_lane_change<'a>(node: Node<'a>, entities: &[Entity]) -> Result<StoryAction<'a>> {
-    node.only(&["LaneChangeActionDynamics", "LaneChangeTarget"], &["targetLaneOffset"])?;
-    if node.optional_number("targetLaneOffset")?.is_some_and(|offset_m| offset_m != 0.0) {
-        return Err(node.refuse("targetLaneOffset is lateral: vehicles drive in the middle of a lane"));
-    }
-    let dynamics = TransitionDynamics::read(node.child("LaneChangeActionDynamics")?)?;
-    let target = node.child("LaneChangeTarget")?.single()?;
-    let lane = lane_number(target, "value")?;
-    let target = match target.name() {
-        "AbsoluteTargetLane" => LaneTarget::Absolute(lane),
-        "RelativeTargetLane" => LaneTarget::Relative(entity_index(target, "entityRef", entities)?, lane),
-        _ => return Err(target.refuse("is not supported as a target lane")),
-    };
-    Ok(StoryAction::LaneChange(LaneChangeAction { node, dynamics, target }))
-}
-
-/// Returns the whole number of an attribute.
-pub(super) fn lane_number(node: Node<'_>, name: &str) -> Result<i32> {
-    match node.number(name)? {
-        number if number.fract() == 0.0 && number.abs() <= 1000.0 => Ok(number as i32),
-        number => Err(node.refuse(format!("attribute `{name}`: {number} is not the number of a lane"))),
-    }
-}
-
-fn read_trajectory<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
-    node.only(&["Trajectory", "TrajectoryRef", "TimeReference", "TrajectoryFollowingMode"], &[])?;
-    let holder = node.optional("TrajectoryRef").unwrap_or(node);
-    let trajectory = holder.child("Trajectory")?;
-    trajectory.only(&["ParameterDeclarations", "Shape"], &["name", "closed"])?;
-    if trajectory.flag("closed", false)? {
-        return Err(trajectory.refuse("a closed trajectory is not supported"));
-    }
-    let shape = trajectory.child("Shape")?.single()?;
-    if shape.name() != "Polyline" {
-        return Err(shape.refuse("is not supported as a shape, only Polyline"));
-    }
-    let timing = node.child("TimeReference")?.single()?;
-    if timing.name() != "Timing" {
-        return Err(timing.refuse("a trajectory must have times"));
-    }
-    timing.only(&[], &["domainAbsoluteRelative", "scale", "offset"])?;
-    timing.expect("domainAbsoluteRelative", &["absolute", "relative"])?;
-    let is_relative = timing.text("domainAbsoluteRelative")? == "relative";
-    let (scale, offset_s) = (timing.number("scale")?, timing.number("offset")?);
-    let mut vertices: Vec<(f64, Node<'a>)> = Vec::new();
-    for vertex in shape.children() {
-        vertex.only(&["Position"], &["time"])?;
-        let time_s = vertex.number("time")? * scale + offset_s;
-        if vertices.last().is_some_and(|(before_s, _)| *before_s >= time_s) {
-            return Err(vertex.refuse("times of vertices must increase"));
-        }
-        vertices.push((time_s, vertex.child("Position")?.single()?));
-    }
-    Ok(StoryAction::Trajectory(TrajectoryAction { node, vertices, is_relative }))
 }

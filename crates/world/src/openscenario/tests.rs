@@ -124,7 +124,9 @@ fn speed_actions_of_all_shapes_become_scripts() {
         assert!((to_mps - 10.0).abs() < 1e-9 && (lowest_mps2 + hardest_mps2).abs() < 0.01, "{shape}: {lowest_mps2}");
     }
     let refused = import(&file(same_lane(), &speed_action("step", "time", "0", 10.0), TIME)).unwrap_err();
-    assert!(refused.contains("outside its limits of -8"), "{refused}");
+    let expected =
+        ": SpeedAction: at 2.50 s the speed of `other` changes at -1000.0 m/s², outside its limits of -8 and 5";
+    assert!(refused.contains(expected), "{refused}");
 }
 
 #[test]
@@ -167,6 +169,12 @@ fn content_that_one_lane_cannot_represent_is_refused_by_name() {
         ("value=\"72\"", "value=\"200\"", "`speed` = `200` violates its constraints"),
         ("storyboardElementRef=\"act\"", "storyboardElementRef=\"x\"", "there is no action `x`"),
         ("<StopTrigger>", "<StopTrigger/><StopTrigger>", "Storyboard: has no stop trigger"),
+        ("y=\"-1.75\"", "y=\"-1.75\" h=\"3.1\"", "WorldPosition: `h` is not 0 rad, the direction of lane -1"),
+        ("y=\"-1.75\"", "y=\"-1.75\" p=\"0.1\"", "WorldPosition: `p` differs from the direction of the lane"),
+        ("<CatalogLocations/>", "<ParameterValueDistribution/>", "OpenSCENARIO: is a file of distributions"),
+        ("f.xodr", "g.xodr", "LogicFile: g.xodr: entity not found"),
+        ("<EntityRef entityRef=\"other\"/></Actors>", "</Actors>", "Actors: names no entity"),
+        ("mine\"><Properties/>", "idm\"><Properties><Property name=\"gap\" value=\"1\"/></Properties>", "Controller: "),
         ("s=\"140\"", "s=\"101\"", "the scenario is outside the ranges of crumple: vehicles[1].position_m"),
     ] {
         let damaged = good.replace(old, new);
@@ -177,10 +185,54 @@ fn content_that_one_lane_cannot_represent_is_refused_by_name() {
     let curved = ROAD.replace("<line/>", "<arc curvature=\"0.001\"/>");
     let error = OpenScenarioSource::from_bytes(good.as_bytes(), curved.as_bytes()).unwrap().scenario(None, &[]);
     assert_eq!(error.unwrap_err().to_string(), "f.xodr:2: arc: the road must be straight");
+    let many = "<a b=''>".repeat(1_100_000);
+    assert!(import(&many).unwrap_err().ends_with(":1: there are more than 2000000 tags and attributes"));
     let deep = "<a>".repeat(100_000);
     assert!(import(&deep).unwrap_err().contains("nested deeper than 64"));
     let parentheses = good.replace("${round($speed)", &format!("${{{}", "(".repeat(100_000)));
     assert!(import(&parentheses).unwrap_err().contains("nested deeper than 50"));
+}
+
+#[test]
+fn assumptions_and_content_without_influence_are_noted_with_their_lines() {
+    let relative = r#"<RelativeTargetSpeed entityRef="ego" value="-5" speedTargetValueType="delta"/>"#;
+    let slower = speed_action("linear", "rate", "2", 10.0).replace("<AbsoluteTargetSpeed value=\"10\"/>", relative);
+    let good = file(same_lane(), &slower, TIME);
+    let notes = |old: &str, new: &str, road: &str| {
+        let text = good.replace(old, new);
+        let source = OpenScenarioSource::from_bytes(text.as_bytes(), road.as_bytes()).unwrap();
+        source.scenario(None, &[]).unwrap().notes
+    };
+    let [relative, never] = &notes("", "", ROAD)[..] else { panic!("two notes") };
+    assert!(relative.ends_with("SpeedAction: is relative to `ego`, as if it kept its speed"), "{relative}");
+    assert!(never.ends_with("ScenarioObject: the controller is never activated: it drives from the start"), "{never}");
+    let until = r#"<SimulationTimeCondition value="9" rule="greaterThan"/>"#;
+    let falling = good.replace("<StoryboardElementStateCondition storyboardElementType=\"action\" ", until);
+    let falling = falling.replace("storyboardElementRef=\"act\" state=\"completeState\"/>", "");
+    let property = |name: &str| format!("<Properties><Property name=\"{name}\" value=\"idm\"/></Properties>");
+    for (old, new, expected) in [
+        (
+            &*good,
+            falling.replace("delay=\"0.5\" conditionEdge=\"rising", "delay=\"0\" conditionEdge=\"falling"),
+            ": Event: `e` never",
+        ),
+        (&*good, falling.replace("value=\"2\" rule", "value=\"20\" rule"), ": Event: `e` never starts within the 10 s"),
+        ("<Properties/>", property("sensor"), ": Controller: properties without influence on the motion: sensor"),
+        (
+            "<Axles/>",
+            "<Axles/>".to_owned() + &property("paint"),
+            ": Vehicle: properties without influence on the motion: paint",
+        ),
+        ("<Axles/>", "<Axles/>".to_owned() + &property("driver"), "driver = `idm` contradicts the controller `mine`"),
+    ] {
+        let found = notes(old, &new, ROAD);
+        assert!(
+            found.iter().any(|note| note.starts_with("f.xosc:") && note.contains(expected)),
+            "{expected}: {found:?}"
+        );
+    }
+    let found = notes("", "", &ROAD.replace("5000", "150"));
+    assert!(found.iter().any(|note| note.contains("is outside the road `7` of 150 m, at the end")), "{found:?}");
 }
 
 fn distributions(content: &str) -> Result<ParameterDistributionFile, String> {

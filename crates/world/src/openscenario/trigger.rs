@@ -8,6 +8,18 @@ use super::xml::Node;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
+/// Attributes of conditions on the distance of two entities.
+const DISTANCE_ATTRIBUTES: [&str; 8] = [
+    "entityRef",
+    "value",
+    "rule",
+    "freespace",
+    "alongRoute",
+    "coordinateSystem",
+    "relativeDistanceType",
+    "routingAlgorithm",
+];
+
 /// A trigger: true if all conditions of a group are true.
 pub(super) struct Trigger<'a> {
     /// `None` for a trigger that is true from the start.
@@ -38,13 +50,21 @@ enum ConditionKind {
     Entity { who: Vec<usize>, needs_all: bool, quantity: EntityQuantity, threshold: ConditionThreshold },
 }
 
+/// A quantity of an entity, which may be relative to another entity.
 #[derive(Clone, Copy)]
-enum EntityQuantity {
+struct EntityQuantity {
+    kind: QuantityKind,
+    to: Option<usize>,
+    /// True for distances between bumpers.
+    is_free: bool,
+}
+
+#[derive(Clone, Copy)]
+enum QuantityKind {
     Speed,
-    RelativeSpeed(usize),
-    Distance { to: usize, is_free: bool },
-    Headway { to: usize, is_free: bool },
-    TimeToCollision { to: usize, is_free: bool },
+    Distance,
+    Headway,
+    TimeToCollision,
 }
 
 #[derive(Clone, Copy)]
@@ -74,7 +94,7 @@ impl ConditionThreshold {
 }
 
 impl<'a> Trigger<'a> {
-    pub(super) fn read(node: Option<Node<'a>>, entities: &[Entity]) -> Result<Self> {
+    pub(super) fn read(node: Option<Node<'a>>, entities: &[Entity<'_>]) -> Result<Self> {
         let Some(node) = node else { return Ok(Self { groups: None }) };
         node.only(&["ConditionGroup"], &[])?;
         let group = |group: Node<'a>| {
@@ -111,7 +131,7 @@ impl<'a> Trigger<'a> {
 }
 
 impl<'a> Condition<'a> {
-    fn read(node: Node<'a>, entities: &[Entity]) -> Result<Self> {
+    fn read(node: Node<'a>, entities: &[Entity<'_>]) -> Result<Self> {
         node.only(&["ByValueCondition", "ByEntityCondition"], &["name", "delay", "conditionEdge"])?;
         let edge = match node.text("conditionEdge")?.as_str() {
             "none" => ConditionEdge::None,
@@ -169,7 +189,7 @@ impl<'a> Condition<'a> {
             ConditionKind::Entity { who, needs_all, quantity, threshold } => {
                 let margins = who.iter().map(|one| threshold.margin(quantity.value(state, *one, now_s)));
                 let margin = margins.reduce(if *needs_all { f64::min } else { f64::max }).unwrap_or(-1.0);
-                let depends = who.iter().copied().chain(quantity.target()).any(|entity| state.is_controlled(entity));
+                let depends = who.iter().copied().chain(quantity.to).any(|entity| state.is_controlled(entity));
                 Ok((margin, None, depends))
             }
         }
@@ -203,7 +223,7 @@ fn read_value_condition(node: Node<'_>) -> Result<ConditionKind> {
     }
 }
 
-fn read_entity_condition(node: Node<'_>, entities: &[Entity]) -> Result<ConditionKind> {
+fn read_entity_condition(node: Node<'_>, entities: &[Entity<'_>]) -> Result<ConditionKind> {
     node.only(&["TriggeringEntities", "EntityCondition"], &[])?;
     let triggering = node.child("TriggeringEntities")?;
     triggering.only(&["EntityRef"], &["triggeringEntitiesRule"])?;
@@ -211,72 +231,44 @@ fn read_entity_condition(node: Node<'_>, entities: &[Entity]) -> Result<Conditio
     let needs_all = triggering.text("triggeringEntitiesRule")? == "all";
     let who = triggering.children().map(|one| entity_index(one, "entityRef", entities)).collect::<Result<Vec<_>>>()?;
     let condition = node.child("EntityCondition")?.single()?;
-    let target = |node: Node<'_>| entity_index(node, "entityRef", entities);
-    let distance_attributes =
-        ["entityRef", "value", "rule", "freespace", "alongRoute", "coordinateSystem", "routingAlgorithm"];
-    let longitudinal = |attribute: &'static str| {
-        condition.only(&["TimeToCollisionConditionTarget"], &[&distance_attributes[..], &[attribute]].concat())?;
-        condition.expect(attribute, &["longitudinal"])?;
-        condition.expect("coordinateSystem", &["entity", "lane", "road"])?;
-        condition.flag("freespace", false)
-    };
-    let quantity = match condition.name() {
-        "SpeedCondition" => {
-            condition.only(&[], &["value", "rule"])?;
-            EntityQuantity::Speed
-        }
-        "RelativeSpeedCondition" => {
-            condition.only(&[], &["entityRef", "value", "rule"])?;
-            EntityQuantity::RelativeSpeed(target(condition)?)
-        }
-        "RelativeDistanceCondition" => {
-            let is_free = longitudinal("relativeDistanceType")?;
-            condition.text("relativeDistanceType")?;
-            EntityQuantity::Distance { to: target(condition)?, is_free }
-        }
-        "TimeHeadwayCondition" => {
-            EntityQuantity::Headway { is_free: longitudinal("relativeDistanceType")?, to: target(condition)? }
-        }
-        "TimeToCollisionCondition" => {
-            let is_free = longitudinal("relativeDistanceType")?;
-            let inner = condition.child("TimeToCollisionConditionTarget")?.single()?;
-            EntityQuantity::TimeToCollision { is_free, to: target(inner)? }
-        }
+    let (kind, attributes) = match condition.name() {
+        "SpeedCondition" => (QuantityKind::Speed, &["value", "rule"][..]),
+        "RelativeSpeedCondition" => (QuantityKind::Speed, &["entityRef", "value", "rule"][..]),
+        "RelativeDistanceCondition" => (QuantityKind::Distance, &DISTANCE_ATTRIBUTES[..]),
+        "TimeHeadwayCondition" => (QuantityKind::Headway, &DISTANCE_ATTRIBUTES[..]),
+        "TimeToCollisionCondition" => (QuantityKind::TimeToCollision, &DISTANCE_ATTRIBUTES[..]),
         _ => return Err(condition.refuse("is not supported as a condition")),
     };
+    let is_collision = condition.name() == "TimeToCollisionCondition";
+    condition.only(if is_collision { &["TimeToCollisionConditionTarget"] } else { &[] }, attributes)?;
+    condition.expect("relativeDistanceType", &["longitudinal"])?;
+    condition.expect("coordinateSystem", &["entity", "lane", "road"])?;
+    let is_free = condition.flag("freespace", false)?;
+    let to = match condition.name() {
+        "SpeedCondition" => None,
+        _ if is_collision => Some(condition.child("TimeToCollisionConditionTarget")?.single()?),
+        _ => Some(condition),
+    };
+    let to = to.map(|node| entity_index(node, "entityRef", entities)).transpose()?;
+    let quantity = EntityQuantity { kind, to, is_free };
     Ok(ConditionKind::Entity { who, needs_all, quantity, threshold: ConditionThreshold::read(condition)? })
 }
 
 impl EntityQuantity {
-    fn target(self) -> Option<usize> {
-        match self {
-            Self::Speed => None,
-            Self::RelativeSpeed(to)
-            | Self::Distance { to, .. }
-            | Self::Headway { to, .. }
-            | Self::TimeToCollision { to, .. } => Some(to),
-        }
-    }
-
     fn value(self, state: &Replay<'_, '_>, who: usize, now_s: f64) -> f64 {
         let own_mps = state.speed_mps(who, now_s);
-        let distance = |to: usize, is_free: bool| {
-            let ahead_m = state.position_m(to, now_s) - state.position_m(who, now_s);
-            let (front, rear) = if ahead_m >= 0.0 { (to, who) } else { (who, to) };
-            let bodies_m = state.bumpers_m(rear)[0] + state.bumpers_m(front)[1];
-            let gap_m = if is_free { (ahead_m.abs() - bodies_m).max(0.0) } else { ahead_m.abs() };
-            let closing_mps = (own_mps - state.speed_mps(to, now_s)) * if ahead_m >= 0.0 { 1.0 } else { -1.0 };
-            (gap_m, closing_mps)
-        };
-        match self {
-            Self::Speed => own_mps,
-            Self::RelativeSpeed(to) => own_mps - state.speed_mps(to, now_s),
-            Self::Distance { to, is_free } => distance(to, is_free).0,
-            Self::Headway { to, is_free } => distance(to, is_free).0 / own_mps,
-            Self::TimeToCollision { to, is_free } => match distance(to, is_free) {
-                (gap_m, closing_mps) if closing_mps > 0.0 => gap_m / closing_mps,
-                _ => f64::INFINITY,
-            },
+        let Some(to) = self.to else { return own_mps };
+        let ahead_m = state.position_m(to, now_s) - state.position_m(who, now_s);
+        let faster_mps = own_mps - state.speed_mps(to, now_s);
+        let (front, rear, closing_mps) = if ahead_m >= 0.0 { (to, who, faster_mps) } else { (who, to, -faster_mps) };
+        let bodies_m = state.bumpers_m(rear)[0] + state.bumpers_m(front)[1];
+        let gap_m = if self.is_free { (ahead_m.abs() - bodies_m).max(0.0) } else { ahead_m.abs() };
+        match self.kind {
+            QuantityKind::Speed => faster_mps,
+            QuantityKind::Distance => gap_m,
+            QuantityKind::Headway => gap_m / own_mps,
+            QuantityKind::TimeToCollision if closing_mps > 0.0 => gap_m / closing_mps,
+            QuantityKind::TimeToCollision => f64::INFINITY,
         }
     }
 }

@@ -12,11 +12,11 @@ use super::parameters::Parameters;
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
 /// Maximum size of a file, in bytes.
-pub const MAX_XML_BYTES: u64 = 256 << 20;
+pub const MAX_XML_BYTES: u64 = 64 << 20;
 /// Maximum depth of an element.
 const MAX_DEPTH: usize = 64;
-/// Maximum number of elements and attributes of a file.
-const MAX_ITEMS: usize = 10_000_000;
+/// Maximum number of tags and attributes of a file.
+const MAX_ITEMS: usize = 2_000_000;
 
 /// An element of a file.
 #[derive(Debug)]
@@ -24,7 +24,7 @@ pub(super) struct SourceElement {
     pub(super) name: String,
     pub(super) line: u32,
     pub(super) path: Arc<Path>,
-    attributes: Vec<(String, String)>,
+    attributes: Box<[(String, String)]>,
     children: Vec<SourceElement>,
     has_text: bool,
 }
@@ -39,8 +39,14 @@ impl SourceElement {
             syntax(1 + count_lines(before), "the text is not UTF-8".to_owned())
         })?;
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
+        // Counted before elements are built, which take more memory than their text.
+        let mut items = text.bytes().enumerate().filter(|(_, byte)| matches!(byte, b'<' | b'='));
+        if let Some((at, _)) = items.nth(MAX_ITEMS) {
+            let line = 1 + count_lines(text.as_bytes().get(..at).unwrap_or_default());
+            return Err(syntax(line, format!("there are more than {MAX_ITEMS} tags and attributes")));
+        }
         let mut reader = Reader::from_str(text);
-        let (mut found, mut open, mut items): (Option<Self>, Vec<Self>, usize) = (None, Vec::new(), 0);
+        let (mut found, mut open): (Option<Self>, Vec<Self>) = (None, Vec::new());
         let (mut line, mut counted) = (1, 0);
         loop {
             let start = reader.buffer_position();
@@ -58,12 +64,10 @@ impl SourceElement {
                     if open.len() >= MAX_DEPTH {
                         return Err(wrong(&format!("elements are nested deeper than {MAX_DEPTH}")));
                     }
-                    open.push(Self::from_tag(&tag, line, &path, &mut items).map_err(|problem| wrong(&problem))?);
+                    open.push(Self::from_tag(&tag, line, &path).map_err(|problem| wrong(&problem))?);
                     None
                 }
-                Event::Empty(tag) => {
-                    Some(Self::from_tag(&tag, line, &path, &mut items).map_err(|problem| wrong(&problem))?)
-                }
+                Event::Empty(tag) => Some(Self::from_tag(&tag, line, &path).map_err(|problem| wrong(&problem))?),
                 Event::End(_) => open.pop(),
                 Event::DocType(_) => return Err(wrong("there is a document type declaration")),
                 Event::Text(text) if text.iter().all(u8::is_ascii_whitespace) => None,
@@ -88,12 +92,7 @@ impl SourceElement {
         }
     }
 
-    fn from_tag(
-        tag: &BytesStart<'_>,
-        line: u32,
-        path: &Arc<Path>,
-        items: &mut usize,
-    ) -> std::result::Result<Self, String> {
+    fn from_tag(tag: &BytesStart<'_>, line: u32, path: &Arc<Path>) -> std::result::Result<Self, String> {
         let name = String::from_utf8_lossy(tag.local_name().as_ref()).into_owned();
         let mut attributes = Vec::new();
         for attribute in tag.attributes() {
@@ -105,11 +104,14 @@ impl SourceElement {
                 attributes.push((key, value));
             }
         }
-        *items += 1 + attributes.len();
-        if *items > MAX_ITEMS {
-            return Err(format!("there are more than {MAX_ITEMS} elements and attributes"));
-        }
-        Ok(Self { name, line, path: path.clone(), attributes, children: Vec::new(), has_text: false })
+        Ok(Self {
+            name,
+            line,
+            path: path.clone(),
+            attributes: attributes.into(),
+            children: Vec::new(),
+            has_text: false,
+        })
     }
 
     pub(super) fn refuse(&self, reason: impl Into<String>) -> ScenarioImportError {
@@ -136,6 +138,11 @@ impl<'a> Node<'a> {
 
     pub(super) fn refuse(self, reason: impl Into<String>) -> ScenarioImportError {
         self.element.refuse(reason)
+    }
+
+    /// Returns a note with the file, line and name of the element.
+    pub(super) fn note(self, text: impl Into<String>) -> String {
+        self.refuse(text).to_string()
     }
 
     pub(super) fn children(self) -> impl Iterator<Item = Node<'a>> {
