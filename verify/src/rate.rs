@@ -219,7 +219,7 @@ fn round_up(rounded: f64) -> f64 {
 }
 
 /// Bounds the tail. `powers` are upper bounds of powers of q = 1 - p, each with its exponent, in increasing order; the
-/// first is q itself. All others must be at least about 1/2, so that the product does not underflow.
+/// first is q itself. All others must be at least 1/2, so that the product does not underflow.
 fn tail_upper_bound(failures: u64, runs: u64, rate: f64, mut powers: &[(f64, u64)]) -> f64 {
     let (k, n) = (failures, runs);
     if k >= n {

@@ -151,7 +151,8 @@ impl Catalog {
         names.iter().enumerate().map(offered).collect()
     }
 
-    /// Registers the drivers from files in a campaign's scenario, which the page may send back.
+    /// Registers the drivers from files in a scenario of a campaign, so that later requests with this scenario may name
+    /// them.
     pub(crate) fn register_drivers(&self, scenario: &Scenario) {
         let mut opened = self.opened_drivers.lock().unwrap_or_else(PoisonError::into_inner);
         for driver in file_drivers(scenario) {

@@ -177,7 +177,6 @@ pub fn sync_parent_folder(path: &Path) -> Result<(), DiskError> {
     sync_folder(parent_folder(path))
 }
 
-/// Returns the folder of a file.
 fn parent_folder(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }

@@ -154,7 +154,7 @@ impl Run {
         let vehicles = self.scenario().vehicles();
         let fastest_mps = |vehicle: &VehicleSpec| {
             let accel_mps2 = match &vehicle.driver {
-                // A vehicle follows a recording as closely as its limits allow.
+                // To follow a recording, a vehicle may use any acceleration within its limits.
                 Driver::Profile(profile) if !matches!(profile, LeadProfile::Recorded(_)) => {
                     profile.acceleration_range_mps2()[1].min(vehicle.max_accel_mps2())
                 }
