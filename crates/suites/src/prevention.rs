@@ -1,5 +1,5 @@
-//! Preventability of a collision: whether reference drivers prevent it, as regulations ask, and whether any driver
-//! could that knows the future.
+//! Preventability of a collision: whether reference drivers prevent it, as regulations ask, and whether a driver that
+//! knows the future could.
 
 use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;

@@ -15,8 +15,8 @@ pub(super) const LOCK_FILE: &str = "work.lock";
 pub struct FolderLock {
     /// Holds the lock of the operating system.
     file: File,
-    /// The locked folder itself, if the file system can lock folders. It protects the run even if someone deletes the
-    /// lock file.
+    /// The locked folder itself, if the file system can lock folders. It protects the run even if the lock file is
+    /// deleted.
     folder: Option<File>,
 }
 
