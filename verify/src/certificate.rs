@@ -42,8 +42,8 @@ pub struct Certificate {
 /// The subject of a statement: a scenario, a box around one, or a scenario space.
 ///
 /// In version 2 its text is part of the certificate and its hash is checked. `crumple check` compares the text with the
-/// numbers of the statement. A kernel concerns no single scenario, so these fields are absent. Version 1 concludes
-/// nothing from any of them.
+/// numbers of the statement. A kernel concerns no single scenario, so these fields are absent. From these fields of a
+/// certificate of version 1, nothing is concluded.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CertificateProvenance {

@@ -101,13 +101,13 @@ impl Interval {
         if self.high < 0.0 { Self::ENTIRE } else { Self { low: root.low.max(0.0), ..root } }
     }
 
-    /// Returns the range of the smaller of a member of each.
+    /// Returns the range of min(x, y) for x and y in the two intervals.
     #[must_use]
     pub fn min(self, other: Self) -> Self {
         Self { low: self.low.min(other.low), high: self.high.min(other.high) }
     }
 
-    /// Returns the range of the larger of a member of each.
+    /// Returns the range of max(x, y) for x and y in the two intervals.
     #[must_use]
     pub fn max(self, other: Self) -> Self {
         Self { low: self.low.max(other.low), high: self.high.max(other.high) }

@@ -25,10 +25,10 @@
 //! thousand kilometres from it. The rest is trust in this crate, its compiler, and IEEE 754 arithmetic.
 //!
 //! # Checking by hand
-//! A car at 20 m/s that can brake at 8 m/s² is 1 m behind a standing vehicle of 2 m; steps take 0.1 s. One row
-//! suffices: at instant 1 the car must be behind the bumper, x_1 ≤ 1. With multiplier 1 on it q falls from 0.1 to 0,
-//! never below, so the sum is least for full braking: L = 20 · 0.1 - 8 · 0.1² / 2 - 1 = 0.96 > 0. The collision is
-//! unavoidable.
+//! A car at 20 m/s that can brake at 8 m/s² is 1 m behind a standing vehicle of 2 m; steps take 0.1 s. One condition of
+//! an escape suffices: at instant 1 the car must be behind the bumper, x_1 - 1 ≤ 0. With multiplier 1 its left side is
+//! the sum L of [`unavoidable`]. Full braking makes it smallest: L = 20 · 0.1 - 8 · 0.1² / 2 - 1 = 0.96. This is above
+//! 0, so the collision is unavoidable.
 //!
 //! ```
 //! let text = r#"{

@@ -218,16 +218,17 @@ fn round_up(rounded: f64) -> f64 {
     rounded.next_up()
 }
 
-/// Bounds the tail. `powers` are upper bounds of powers of q = 1 - p with their exponents, in order, the first of which
-/// is q. Only the first may be small, so that the product does not vanish.
+/// Bounds the tail. `powers` are upper bounds of powers of q = 1 - p, each with its exponent, in increasing order; the
+/// first is q itself. All others must be at least 1/2, so that the product does not underflow.
 fn tail_upper_bound(failures: u64, runs: u64, rate: f64, mut powers: &[(f64, u64)]) -> f64 {
     let (k, n) = (failures, runs);
     if k >= n {
         return 1.0;
     }
     let q = round_up(1.0 - rate);
-    // The last term, C(n, k) pᵏ qⁿ⁻ᵏ, by k factors p (n - k + i)/i and n - k factors q. Large factors while the product
-    // is below one, else small ones: it neither overflows nor underflows early.
+    // The last term, C(n, k) pᵏ qⁿ⁻ᵏ, is a product of k factors p (n - k + i)/i and n - k factors q. While the product
+    // is below 1, multiply by one of the first kind, else by one of the second, so that it neither overflows nor
+    // underflows early.
     let mut term = 1.0_f64;
     let (mut taken, mut damped) = (0, 0);
     while taken < k || damped < n - k {

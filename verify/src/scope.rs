@@ -62,7 +62,8 @@ impl Certificate {
         scope
     }
 
-    /// Returns the scope of a claim about a scenario that has `left_out` vehicles more behind than the claim.
+    /// Returns the scope of a claim about a scenario with `left_out` further vehicles at the rear that the claim does
+    /// not contain.
     #[must_use]
     pub fn scope_with_uncovered_vehicles(&self, accepted: Option<&ProvedClaim>, left_out: usize) -> Scope {
         let mut scope = accepted.map_or_else(|| self.scope(), |accepted| self.scope_with_result(accepted));

@@ -17,8 +17,8 @@ use std::fmt::{self, Display, Formatter, Write};
 #[derive(Debug, Clone, Copy)]
 pub struct TerminalText<'a>(pub &'a str);
 
-/// Text of several lines. Differs from [`TerminalText`] in that line feeds and tabs stay. The escapes are those of
-/// JSON, where they mean the same characters; in XML, which forbids most of these characters, they are text.
+/// Text of several lines. Differs from [`TerminalText`] in that line feeds and tabs stay. Hidden characters are escaped
+/// as in JSON (`\u001b`). A JSON parser restores them. XML forbids most of them, so there the escapes stay as text.
 #[derive(Debug, Clone, Copy)]
 pub struct TerminalLines<'a>(pub &'a str);
 
@@ -30,7 +30,8 @@ pub struct MarkdownText<'a>(pub &'a str);
 #[derive(Debug, Clone, Copy)]
 pub struct MarkdownCode<'a>(pub &'a str);
 
-/// One argument of a command for a POSIX shell. A displayed command also needs the type of that output format.
+/// One argument of a command for a POSIX shell. A command that is displayed must also be quoted by the type of its
+/// output format, such as [`MarkdownCode`].
 #[derive(Debug, Clone, Copy)]
 pub struct ShellWord<'a>(pub &'a str);
 

@@ -164,7 +164,8 @@ mod tests {
         ) {
             let failures = ((runs as f64 * share) as u64).min(runs - 1);
             let high = clopper_pearson_upper(failures, runs, tail);
-            // For a rate near 1, its complement has few digits and enters once per success.
+            // For a rate near 1, 1 - rate has few correct digits, and the tail contains it as a factor once per
+            // success.
             let (runs_f64, holding) = (runs as f64, (runs - failures) as f64);
             let loose = 1.0 + 1e-12 + 8.0 * f64::EPSILON * (runs_f64 + holding / (1.0 - high));
             prop_assert!(binomial_tail_upper_bound(failures, runs, high) <= tail * loose);

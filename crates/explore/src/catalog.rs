@@ -118,7 +118,7 @@ impl ExploreConfig {
                 controllers.push(built_in);
             }
         }
-        // Adds the controller of a campaign only if it is built in, so that no command or file comes in.
+        // Only built-in controllers of campaigns are added: a campaign must not add a command or file to the catalog.
         for campaign in &campaigns {
             let name = campaign.lock_reader().controller().to_owned();
             if let (false, Some(Ok(spec))) =
@@ -151,7 +151,8 @@ impl Catalog {
         names.iter().enumerate().map(offered).collect()
     }
 
-    /// Registers the drivers from files in a campaign's scenario, which the page may send back.
+    /// Registers the drivers from files in a scenario of a campaign, so that later requests with this scenario may name
+    /// them.
     pub(crate) fn register_drivers(&self, scenario: &Scenario) {
         let mut opened = self.opened_drivers.lock().unwrap_or_else(PoisonError::into_inner);
         for driver in file_drivers(scenario) {
@@ -161,7 +162,8 @@ impl Catalog {
         }
     }
 
-    /// Fills in drivers that a scenario names by file from known scenarios. A page can have no file opened.
+    /// Replaces each driver that a scenario names by file with the same driver of a known scenario. No file is opened,
+    /// so a page cannot make the server read one.
     pub(crate) fn resolve_drivers(&self, spec: &mut ScenarioSpec) -> Result<(), RequestError> {
         let opened = self.opened_drivers.lock().unwrap_or_else(PoisonError::into_inner);
         let offered = self.scenarios.iter().flat_map(|offered| file_drivers(&offered.scenario));
@@ -180,7 +182,7 @@ impl Catalog {
     }
 }
 
-/// Returns the item of that index, which a request names in `field`.
+/// Returns the item at an index. The error names `field`, the field of the request with the index.
 pub(crate) fn find<'a, T>(items: &'a [T], index: usize, field: &str, noun: &str) -> Result<&'a T, RequestError> {
     items.get(index).ok_or_else(|| RequestError::invalid(field, format!("there are {} {noun}", items.len())))
 }

@@ -16,12 +16,13 @@
 //!
 //! # Access
 //!
-//! The server listens on 127.0.0.1 only, and every path begins with a random token of 256 bits in hexadecimal. It is no
-//! cookie, because browsers send the cookies of a host to all of its ports, also for requests of other pages. Every
-//! request without the token is refused. So is one with another `Host`, as after DNS rebinding, or with the `Origin` or
-//! `Sec-Fetch-Site` of another page.
+//! The server listens on 127.0.0.1 only, and every path begins with a random token of 256 bits in hexadecimal. The
+//! token is not in a cookie, because browsers send the cookies of a host to all of its ports, also with requests that
+//! other pages make. The server refuses a request without the token, with another `Host` (as after DNS rebinding), or
+//! with the `Origin` or `Sec-Fetch-Site` of another page.
 //!
-//! No path in a request is opened. Requests name items of the catalog, and scenarios in them only its files.
+//! The server opens no path that a request contains. A request names items of the catalog, and a scenario in a request
+//! may name only files that scenarios of the catalog use.
 
 mod auth;
 mod avoidability;

@@ -71,7 +71,7 @@ impl Application {
         Self { auth: gate, catalog: offer, avoidability_lock: Mutex::new(()) }
     }
 
-    /// Responds to a request after the token. Requests with a body may block for long.
+    /// Responds to a request; `rest` is its path after the token. A request with a body may block for a long time.
     pub(crate) fn dispatch(&self, method: &Method, rest: &str, body: &[u8]) -> Result<HttpResponse, RequestError> {
         match (rest, method) {
             ("", &Method::GET) => Ok(HttpResponse::new(HTML, page::scenario_page(&self.catalog))),

@@ -73,7 +73,8 @@ fn write_new_file(folder: &Path, plain: &str, toml: &str) -> Result<PathBuf, Req
     Err(RequestError::invalid("edits.name", format!("there are already {MAX_SAME_NAME_FILES} scenarios of this name")))
 }
 
-/// Returns a file name of letters, digits and hyphens. It cannot leave the folder and is no reserved name of a system.
+/// Returns a file name of letters, digits and hyphens. The name cannot point outside the folder, and is not one that
+/// Windows reserves, such as `con`.
 fn file_stem(name: &str) -> String {
     let words = name.split(|letter: char| !letter.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
     let mut plain = words.collect::<Vec<_>>().join("-").to_ascii_lowercase();

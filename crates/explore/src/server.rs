@@ -28,7 +28,8 @@ use crate::catalog::{ExploreConfig, ExploreConfigError};
 use crate::error::RequestError;
 use crate::routes::{Application, HttpResponse};
 
-/// Maximum number of connections. A new one beyond it ends the one that is idle the longest.
+/// Maximum number of connections. At the limit, a new connection closes the one that has been idle for the longest
+/// time.
 const MAX_CONNECTIONS: usize = 256;
 /// Maximum size of a request body, in bytes: a scenario of some minutes of scripted motion.
 const MAX_BODY_BYTES: usize = 1 << 20;
@@ -206,7 +207,8 @@ fn next_tick() -> u64 {
     TICKS.fetch_add(1, Ordering::Relaxed)
 }
 
-/// Returns true if another connection may begin. If there are too many, ends the one that is idle the longest.
+/// Returns true if another connection may begin. At the limit, closes the connection that has been idle for the longest
+/// time.
 fn try_free_connection(connections: &mut Vec<Connection>) -> bool {
     connections.retain(|connection| !connection.task.is_finished());
     if connections.len() >= MAX_CONNECTIONS {

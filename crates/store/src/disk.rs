@@ -84,7 +84,8 @@ impl StagedFiles {
     /// # Errors
     /// [`DiskError`] names the first file that cannot be moved; earlier files are in place.
     pub fn commit(self) -> Result<(), DiskError> {
-        // Otherwise a loss of power could leave names without contents. In parallel, because each call waits.
+        // Sync before the renames; otherwise a loss of power could leave files with the new names and no contents. In
+        // parallel, because each call waits for the disk.
         self.staged.par_iter().try_for_each(|staged| staged.file.sync_all().map_err(DiskError::at(&staged.path)))?;
         let mut folders = BTreeSet::new();
         for StagedFile { temp_path: unfinished, path, .. } in self.staged {
@@ -176,7 +177,6 @@ pub fn sync_parent_folder(path: &Path) -> Result<(), DiskError> {
     sync_folder(parent_folder(path))
 }
 
-/// Returns the folder of a file.
 fn parent_folder(path: &Path) -> &Path {
     path.parent().filter(|parent| !parent.as_os_str().is_empty()).unwrap_or(Path::new("."))
 }

@@ -13,14 +13,15 @@ use crumple_core::digest::Sha256;
 
 use crate::disk::DiskError;
 
-/// Error message about unfinished work of another build, after the name of its file.
+/// Error message about unfinished work of another build. The name of its file stands before it.
 pub const OTHER_BUILD_MESSAGE: &str = "another build of crumple started this work: resume it with that build, \
                                or start again without --resume in another --out";
 
 /// Path of the program, if it is not the executable.
 static LIBRARY: OnceLock<PathBuf> = OnceLock::new();
 
-/// Uses this shared library instead of the executable for [`identity`]. The first call, before [`identity`], counts.
+/// Uses this shared library instead of the executable for [`identity`]. Must be called before [`identity`]; a second
+/// call has no effect.
 pub fn set_library_path(library: PathBuf) {
     let _ = LIBRARY.set(library);
 }

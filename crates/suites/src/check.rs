@@ -141,7 +141,7 @@ pub enum SuiteProblem {
         /// The value that is not larger.
         found: f64,
     },
-    /// A direction that ends within the values of the grid.
+    /// A margin whose last value is not beyond all values of the grid.
     #[error("must lie beyond all values of {}", parameter.label())]
     NotBeyondGrid {
         /// Parameter that is varied.

@@ -54,7 +54,8 @@ pub struct CrashMap {
     pub estimator: EstimatorKind,
     /// Boundaries of collisions by closed forms.
     pub boundaries: Vec<Boundary>,
-    /// Points at and beyond which the document requires no collision: x and y.
+    /// Points (x, y) from the document. It requires that there is no collision there, nor with a longer gap or TTC at
+    /// the same x.
     #[serde(rename = "stated")]
     pub stated_points: Vec<[f64; 2]>,
     /// Results, one per driver, the reference drivers first.
@@ -70,7 +71,8 @@ pub struct MapPanel {
     pub is_reference: bool,
     /// Number of cells that end in a collision.
     pub contacts: usize,
-    /// Number of these cells in which the driver never braked. For a reference driver, its model does not cover them.
+    /// Number of these cells in which the driver never braked. For a reference driver this means that its model does
+    /// not cover the situation.
     pub without_reaction: usize,
     /// Number of cells that contradict the driver's closed form; `None` without one.
     pub unlike_closed_form: Option<usize>,
@@ -181,7 +183,8 @@ mod tests {
     ];
 
     /// No driver avoids a collision that full braking at once cannot avoid. The simple driver agrees with its closed
-    /// form except next to the line, where a step or its margin of a metre decides.
+    /// form except in cells next to the boundary: there the time step, or the driver's margin of a metre, changes the
+    /// result.
     #[test]
     fn maps_agree_with_closed_forms() {
         for situation in SITUATIONS {

@@ -1,4 +1,5 @@
-//! Preventability of a collision: by reference drivers, as regulations ask, and with knowledge of the future.
+//! Preventability of a collision: whether reference drivers prevent it, as regulations ask, and whether a driver that
+//! knows the future could.
 
 use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
@@ -11,7 +12,7 @@ use super::result::TestVerdict;
 use super::run::{ControllerSetup, Criterion, PreventabilityCache};
 use crumple_search::falsify::counterexample::{Avoidability, AvoidabilityAnalysis};
 
-/// Number of failed points of a test, the first ones, whose avoidability is analysed.
+/// Maximum number of failed points of a test whose avoidability is analysed; these are the first ones.
 const MAX_AVOIDABILITY_CHECKS: usize = 3;
 
 /// Behaviour of a reference driver at a point where a controller failed.

@@ -179,7 +179,7 @@ impl TestVerdict {
         matches!(self, Self::Failed { .. } | Self::ControllerFailed { .. })
     }
 
-    /// Returns the missing answer of the controller and its reason; `None` if it answered.
+    /// Returns the time and the reason of a controller failure; `None` if the controller answered.
     #[must_use]
     pub fn unanswered(&self) -> Option<FailedControllerRuns> {
         let Self::ControllerFailed { time_s, reason } = self else { return None };
@@ -192,7 +192,7 @@ impl TestVerdict {
         matches!(self, Self::Refused { .. })
     }
 
-    /// Returns the impact speed of the collision in m/s; 0 without a collision that fails the test.
+    /// Returns the impact speed of a failed test in m/s; 0 if the test passed or could not be run.
     #[must_use]
     pub fn impact_speed_mps(&self) -> f64 {
         match self {

@@ -190,7 +190,7 @@ impl<'t> TestGrid<'t> {
     ) -> Vec<FailedPoint> {
         let all = points.iter().zip(scenarios).zip(seen);
         let failed: Vec<_> = all.filter(|(_, seen)| seen.verdict.is_failure()).collect();
-        // Without an answer of the controller there may be no collision to prevent.
+        // Skip controller failures: such a run may have ended without a collision.
         let is_silent = |seen: &RunResult| matches!(seen.verdict, TestVerdict::ControllerFailed { .. });
         let touching = failed.iter().filter(|(_, seen)| !is_silent(seen));
         let scenarios: Vec<_> = touching.map(|((_, scenario), _)| *scenario).collect();

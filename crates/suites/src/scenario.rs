@@ -60,7 +60,8 @@ impl TestSpec {
         }
     }
 
-    /// Returns the vehicles ahead, and the time at which they would be met or stand, in seconds.
+    /// Returns the vehicles ahead, and the time, in seconds, at which the vehicle under test would reach them without
+    /// braking or at which a braking leader stands.
     fn vehicles_ahead(&self, point: &[f64], own_mps: f64) -> (Vec<VehicleSpec>, f64) {
         let si = |parameter| self.si_value(point, parameter);
         let steady = |gap_m: f64, speed_mps: f64| scripted_vehicle(gap_m, speed_mps, LeadProfile::ConstantSpeed);

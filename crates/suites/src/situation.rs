@@ -190,10 +190,11 @@ impl CrashMapSituation {
         lines.into_iter().map(line).filter(is_on_map).collect()
     }
 
-    /// Returns the vertical coordinate at which full braking after the reaction time just avoids the collision; `None`
-    /// if no speed collides. Following at time gap T, with the leader braking harder: both stand at the smallest gap,
-    /// so T v + v²/(2 d) = τ v + v²/(2 b). A leader that brakes softer needs no more than T v if T >= τ. A cut-in that
-    /// is Δv slower needs Δv τ + Δv²/(2 b).
+    /// Returns the vertical coordinate at which braking at b after the reaction time τ just avoids the collision;
+    /// `None` if no speed leads to a collision. Behind a leader that brakes at d > b, with time gap T, the gap is
+    /// smallest when both stand, so the speed v satisfies T v + v²/(2 d) = τ v + v²/(2 b). Behind a leader that brakes
+    /// at d <= b, no speed leads to a collision if T >= τ. After the cut-in of a vehicle that is Δv slower, the needed
+    /// gap is Δv τ + Δv²/(2 b).
     fn contact_limit(self, across: f64, reaction_s: f64, brake_mps2: f64) -> Option<f64> {
         let slower_mps = across / KMPH_PER_MPS;
         let needed_s = reaction_s + slower_mps / (2.0 * brake_mps2);
@@ -224,7 +225,8 @@ impl CrashMapSituation {
         }
     }
 
-    /// Returns the points at and beyond which the document requires no collision: rows of the table of the AFGBV.
+    /// Returns the points from which on, for longer gaps, the document requires no collision: the rows of the table in
+    /// the AFGBV.
     pub(super) fn stated_points(self) -> Vec<[f64; 2]> {
         let suite = match self {
             Self::CarFollowing { .. } => None,

@@ -119,7 +119,7 @@ pub struct MarginSweep {
 }
 
 impl LeadManeuver {
-    /// Returns the parameters that the manoeuvre needs: one of each entry.
+    /// Returns the parameters that the manoeuvre needs. An entry with two parameters means that either is enough.
     #[must_use]
     pub(crate) fn parameters(self) -> &'static [&'static [ParameterKind]] {
         use ParameterKind::{ClosingTime, Deceleration, Gap, LeadSpeed, OwnSpeed, Ramp, TimeGap};

@@ -13,8 +13,8 @@ use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::FailedControllerRuns;
 
-/// Number of uniform samples, at least one per point of the grid; then number and size of the refinements near the
-/// worst point.
+/// Number of uniform samples; a grid with more points has one sample per point. The search then makes [`REFINEMENTS`]
+/// rounds of [`SAMPLES_PER_REFINEMENT`] samples near the worst point.
 const SAMPLES: usize = 256;
 const REFINEMENTS: i32 = 5;
 const SAMPLES_PER_REFINEMENT: usize = 48;
@@ -164,7 +164,7 @@ impl<'t> WorstPointSearch<'t> {
     }
 }
 
-/// Moves each searched value between its bounds and `from`, by `draw`, and limits it to its bounds.
+/// Replaces each searched value of `from` by `draw(bounds, value)`, limited to its bounds around the grid point `home`.
 fn perturb(
     home: &[f64],
     from: &[f64],

@@ -52,12 +52,13 @@ pub enum ResamplingError {
 /// Failure probabilities in spaces that are fitted to resamples.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Resamples {
-    /// Lower and upper samples of the probability, one each per resample, sorted. They spread as data and sampling
-    /// together. A lower one is 0 without failures; an upper one is 1 if all runs failed.
+    /// A lower and an upper value of the probability per resample, each list sorted. Their spread contains data
+    /// uncertainty and sampling uncertainty. The lower value is 0 for a resample without failures; the upper value is 1
+    /// if all runs failed.
     pub sorted_bounds: [Vec<f64>; 2],
     /// Number of resamples to which no space could be fitted; they were replaced.
     pub failed_fits: u32,
-    /// Number of runs per resample; `None` with an estimate in each.
+    /// Number of runs per resample; `None` if the probability in each resample is a rare-event estimate.
     pub runs_each: Option<u32>,
     /// Variance of the probabilities, less their sampling variance; at least 0.
     pub data_variance: f64,
@@ -163,8 +164,9 @@ pub fn count_on_resamples<E>(
 }
 
 /// Estimates the probability in spaces that are fitted to resamples; `again` takes a space and a seed. The inner error
-/// is the reason why data uncertainty is unknown. Reweighting the failed runs costs no simulations, but was unusable:
-/// at 10⁻⁶ one run has all the weight, and other failures have no run.
+/// is the reason why data uncertainty is unknown. Reweighting the failed runs of the fitted space would cost no
+/// simulations, but was unusable: at a probability of 10⁻⁶ one run had all the weight, and other kinds of failures were
+/// not among the runs.
 ///
 /// # Errors
 /// Errors of `again`.

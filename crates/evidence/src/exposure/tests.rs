@@ -89,7 +89,8 @@ fn coverage(trials: u64, hours: f64) -> [u64; 2] {
     held
 }
 
-/// Both intervals are joint and conservative; at 95 %, fewer than 34 of 40 has a probability of 2 %.
+/// Both intervals are joint and conservative. If an interval holds with a probability of 95 %, fewer than 36 of 40 hold
+/// with a probability of 5 %.
 #[test]
 fn rates_per_hour_of_synthetic_traffic_are_held() {
     let [with_data, _] = coverage(40, 8.0);

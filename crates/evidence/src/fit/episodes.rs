@@ -25,7 +25,7 @@ pub struct ExtractionConfig {
 pub const MAX_VEHICLES: usize = 5;
 const MAX_EPISODES: usize = 10_000;
 const MAX_RECORDINGS: usize = 1000;
-/// Share of a fitted distribution in the region in which searches stay.
+/// Share of a fitted distribution within the range that searches may use; the rest is in the tails.
 const SEARCH_SHARE: f64 = 0.9999;
 /// Speed below which a recorded vehicle stands, in m/s.
 const STANDSTILL_MPS: f64 = 0.1;

@@ -90,7 +90,7 @@ fn copula_entry(copula: &GaussianCopula, a: &str, b: &str) -> Option<f64> {
 }
 
 /// Returns the first edit of a space since its fit: the name of a parameter, or `dependence`; `None` without edits.
-/// Resamples represent other data only for a space without edits.
+/// Only for a space without edits do resamples represent what other data would have given.
 ///
 /// # Errors
 /// [`FitError`] if no space can be fitted to the values.

@@ -20,13 +20,11 @@ fn width(narrow: bool) -> f64 {
     if narrow { 380.0 } else { 720.0 }
 }
 
-/// Returns the frame of a figure that has one panel.
 fn panel_frame(narrow: bool) -> PixelRect {
     let (left, width) = (LEFT_MARGIN + 12.0, width(narrow) - LEFT_MARGIN - 24.0);
     PixelRect { left, top: HEADING_HEIGHT, width, height: HEIGHT }
 }
 
-/// Draws a panel with a legend below it.
 fn figure_with_legend(
     id: &str,
     panel: Panel,

@@ -34,7 +34,8 @@ pub(crate) struct GridCell {
 }
 
 impl FailureGrid {
-    /// Counts the evaluations of a campaign over two parameters by name; none if the campaign lacks one.
+    /// Counts the evaluations of a campaign in cells of the two named parameters. Returns `None` if the campaign has no
+    /// parameter of one of the names.
     pub(crate) fn from_campaign(
         look: &CampaignReader,
         names: [&str; 2],

@@ -19,7 +19,7 @@ use crate::error::RequestError;
 use grid::FailureGrid;
 
 const MAX_LISTED: usize = 40;
-/// Time for which a request reads on before it responds.
+/// Time for which a request reads further evaluations from the folder before it responds.
 const POLL_TIME: Duration = Duration::from_millis(150);
 const BATCH_SIZE: usize = 2_000;
 
@@ -78,12 +78,12 @@ impl CatalogCampaign {
         Self { name, reader: Mutex::new(reader) }
     }
 
-    /// Locks the reader. A panic in it leaves it usable.
+    /// Locks the reader, also after a panic of another thread that held the lock.
     pub(crate) fn lock_reader(&self) -> MutexGuard<'_, CampaignReader> {
         self.reader.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Reads on for [`POLL_TIME`]. Returns true if more evaluations are stored.
+    /// Reads evaluations for [`POLL_TIME`]. Returns true if the folder contains more.
     pub(crate) fn poll(&self) -> Result<bool, RequestError> {
         let (mut look, until) = (self.lock_reader(), Instant::now() + POLL_TIME);
         loop {

@@ -78,7 +78,7 @@ impl Fmi2 {
     pub(super) fn load(library: &Path, folder: &Path, description: &ModelDescription) -> Result<Self, String> {
         let text = |text: &str| CString::new(text).map_err(|_| format!("{text:?} contains a NUL character"));
         let location = format!("file://{}", percent_encode(&folder.join("resources").to_string_lossy()));
-        // SAFETY: loading runs the library's initializers, which is what this process is for.
+        // SAFETY: loading runs the library's initializers. Code of the FMU may run here: this process exists to run it.
         let library = unsafe { Library::new(library) }.map_err(|error| load_error_message(&error, folder))?;
         Ok(Self {
             instantiate: load_symbol(&library, c"fmi2Instantiate")?,
@@ -127,7 +127,7 @@ impl FmiFunctions for Fmi2 {
     fn set(&mut self, wire: VariableRef, value: f64) -> Result<(), String> {
         let reference = &raw const wire.value_reference;
         let whole = value as c_int;
-        // SAFETY: one reference, and one value, which are read before the call returns.
+        // SAFETY: the call reads one reference and one value; both live until it returns.
         let (call, status) = unsafe {
             match wire.kind {
                 VariableType::Real => ("fmi2SetReal", (self.set_real)(self.component, reference, 1, &raw const value)),

@@ -68,7 +68,7 @@ impl Fmi3 {
         let text = |text: &str| CString::new(text).map_err(|_| format!("{text:?} contains a NUL character"));
         // The standard requires a separator at the end.
         let location = folder.join("resources").join("").to_string_lossy().into_owned();
-        // SAFETY: loading runs the library's initializers, which is what this process is for.
+        // SAFETY: loading runs the library's initializers. Code of the FMU may run here: this process exists to run it.
         let library = unsafe { Library::new(library) }.map_err(|error| load_error_message(&error, folder))?;
         Ok(Self {
             instantiate: load_symbol(&library, c"fmi3InstantiateCoSimulation")?,
@@ -123,7 +123,7 @@ impl FmiFunctions for Fmi3 {
     fn set(&mut self, wire: VariableRef, value: f64) -> Result<(), String> {
         let reference = &raw const wire.value_reference;
         let (whole, truth) = (value as i32, value != 0.0);
-        // SAFETY: one reference, and one value, which are read before the call returns.
+        // SAFETY: the call reads one reference and one value; both live until it returns.
         let (call, status) = unsafe {
             match wire.kind {
                 VariableType::Real => {

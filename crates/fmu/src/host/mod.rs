@@ -61,7 +61,7 @@ enum HostCommand {
 }
 
 fn parse_parameter(text: &str) -> Result<(String, f64), String> {
-    // Names of variables contain equal signs more often than numbers do.
+    // Split at the last equal sign: the name of a variable may contain one, a number cannot.
     let (name, value) = text.rsplit_once('=').ok_or("must be VARIABLE=VALUE")?;
     Ok((name.to_owned(), value.parse().map_err(|_| format!("{value:?} is no number"))?))
 }

@@ -84,7 +84,8 @@ pub(super) fn serve(fmu: &Path, wiring: &VariableMap) -> Result<(), String> {
     }
 }
 
-/// Returns standard output for answers alone, and redirects output of the FMU to standard error.
+/// Returns a copy of standard output for the answers. Afterwards standard output is standard error, so that text that
+/// the FMU prints cannot corrupt the protocol.
 #[cfg(unix)]
 fn redirect_stdout() -> io::Result<File> {
     let own = rustix::io::dup(rustix::stdio::stdout())?;

@@ -1,5 +1,5 @@
-//! Folders of unpacked FMUs. A process locks its folder; the system releases the lock at any end of the process. Each
-//! start removes unlocked folders of earlier processes.
+//! Folders of unpacked FMUs. A process locks its folder; the system releases the lock when the process ends, however it
+//! ends. Each start removes unlocked folders of earlier processes.
 //!
 //! Other users may share the temporary folder, so only real folders of the same user are locked and removed.
 

@@ -222,7 +222,8 @@ impl TrainingEpisode {
         }
     }
 
-    /// Returns the discounted reward of standing still for the decisions left; a truncation has no end.
+    /// Returns the discounted reward of standing still for the decisions that are left. If the time limit is a
+    /// truncation, the reward continues for ever.
     fn standstill_return(&self, step_reward: f64, decisions_left: f64) -> f64 {
         let each = step_reward * f64::from(self.config.environment.action_repeat);
         let for_ever = each / (1.0 - self.config.discount);

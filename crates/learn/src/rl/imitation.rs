@@ -1,8 +1,8 @@
 //! Imitation of a controller before reinforcement learning: DAgger (Ross, Gordon and Bagnell, 2011).
 //!
 //! In the first round the expert drives, in each later one the policy. In all rounds the expert's answer to the present
-//! situation is recorded at every decision, and the actor is fitted to all rows so far. Situations therefore become
-//! those that the policy itself causes.
+//! situation is recorded at every decision, and the actor is fitted to all rows so far. The rows therefore contain more
+//! and more situations that the policy itself causes.
 
 use rand::seq::SliceRandom;
 use rayon::prelude::*;
@@ -178,10 +178,10 @@ fn find_expert(field: &str, text: &str) -> Result<ControllerSpec, TrainingConfig
 }
 
 impl Trainer {
-    /// Fits the actor to the expert, if there is one, and calls `done` after each round. An actor that started from a
-    /// policy drives in the first round, too, and keeps its other answers: in spaces whose costs count more than once
-    /// it imitates the policy instead of the expert (Li and Hoiem, 2018), and it ends with the mean of the weights
-    /// before and after (Wortsman et al., 2022).
+    /// Fits the actor to the expert, if there is one, and calls `done` after each round. If the actor started from a
+    /// policy, it also drives in the first round, and imitation must not spoil what the policy already does well: in
+    /// spaces whose costs count more than once the actor imitates the policy instead of the expert (Li and Hoiem,
+    /// 2018), and at the end its weights are the mean of those before and after (Wortsman et al., 2022).
     ///
     /// # Errors
     /// [`TrainingError`] if a scenario cannot be run; the error of `done`.

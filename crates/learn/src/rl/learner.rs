@@ -210,7 +210,7 @@ impl Learner {
     /// w (loss(π(s) - e) + hard · max(0, h - π(s))² + change · ((π(s') - π(s)) - (e' - e))²),
     ///
     /// with the row's weight w, the expert's actions e, and the row's least action h that is not hard braking. Returns
-    /// n times that mean.
+    /// the sum over the rows of the batch instead of the mean.
     fn compute_imitation_gradient(&mut self, batch: &ImitationBatch, imitation: &ImitationConfig) -> f64 {
         let n = batch.actions.len() as f32;
         self.act(&batch.states);
@@ -281,7 +281,7 @@ impl Learner {
         let imitation = 2.0 * self.imitation_weight / n;
         if imitation > 0.0 {
             for ((slope, &action), &wanted) in value_gradients.iter_mut().zip(actions).zip(&batch.expert_actions) {
-                // Without an answer of the expert nothing pulls.
+                // A row without an answer of the expert has no imitation gradient.
                 let off = if wanted == NO_EXPERT_ACTION { 0.0 } else { action - wanted };
                 *slope += imitation * off * (1.0 - action * action);
             }

@@ -29,7 +29,8 @@ pub struct Transition<'a> {
 
 /// Numbers of a transition besides observations: action, reward, `continues`, `contact`, the expert's action.
 const SCALAR_COUNT: usize = 5;
-/// Stands for the action of an absent expert: above every action. Checkpoints hold finite numbers only.
+/// Value in place of the action of an absent expert, larger than every action. It is not NaN, because checkpoints hold
+/// finite numbers only.
 pub(super) const NO_EXPERT_ACTION: f32 = 2.0;
 
 /// Layout of a stored transition.

@@ -148,7 +148,8 @@ impl Trainer {
         Self::with_source(config, seed, Arc::new(PaperSource))
     }
 
-    /// Creates a training on any source. Spaces of `config` must be those of the source; policies state them.
+    /// Creates a training on any source. The spaces in `config` must be those of the source, because policy files name
+    /// the spaces of `config`.
     #[must_use]
     pub fn with_source(config: &TrainingConfig, seed: u64, source: Arc<dyn ScenarioSource>) -> Self {
         Self {
@@ -360,7 +361,8 @@ impl Trainer {
         Err(TrainingError::Diverged { seed, episode, critic_loss, mean_value, largest_value })
     }
 
-    /// Evaluates the actor and keeps it if it is the best so far. An untrained one cannot end the training.
+    /// Evaluates the actor and keeps it if it is the best so far. Before the first episode, an actor that masters the
+    /// task does not end the training.
     ///
     /// # Errors
     /// [`TrainingError::Run`] and [`TrainingError::Policy`], for a configuration that does not fit the scenarios.

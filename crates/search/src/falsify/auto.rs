@@ -53,9 +53,9 @@ struct BatchPlan {
 /// - *Exploration* samples points with few pieces and extreme values, and bisects segments to find the edges of
 ///   plateaus (many points of equal value). Without a plateau it runs hill climbs.
 ///
-/// After the first descent, sequential convex programming also reduces the robustness from the best point, first over
-/// the leader's script (a leader descent). Exploration after the k-th descent has min(k, 3) times the evaluations of
-/// that descent: few at first, because descents solve easy problems early.
+/// After the first descent there are also *leader descents*: sequential convex programming from the best point, first
+/// over the leader's script, then over all coordinates. Exploration after the k-th descent has min(k, 3) times the
+/// evaluations of that descent: few at first, because descents solve easy problems early.
 #[derive(Debug)]
 pub(super) struct Auto {
     cube: UnitCube,

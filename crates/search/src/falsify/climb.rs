@@ -6,7 +6,8 @@ use crumple_world::random::Stream;
 
 /// Number of unsuccessful moves that weigh as much as one rank.
 const MOVES_PER_RANK: f64 = 8.0;
-/// Factor of a coordinate's weight after a change of it without effect, and the minimum weight.
+/// A change of a coordinate that does not change the value multiplies the coordinate's weight by this factor, down to a
+/// minimum weight.
 const NEUTRAL_DECAY: f64 = 0.3;
 const MIN_WEIGHT: f64 = 0.03;
 /// Maximum number of climbs; the worst are dropped.

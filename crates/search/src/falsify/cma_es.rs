@@ -133,7 +133,8 @@ impl CmaRun {
         self.pending.iter().map(|point| point.iter().copied().collect()).collect()
     }
 
-    /// Returns points like those of [`CmaRun::ask`], each the best of `among` by `score`.
+    /// Returns as many points as [`CmaRun::ask`]. Draws `among` times as many samples and keeps those with the lowest
+    /// `score`.
     pub(super) fn ask_screened(
         &mut self,
         random: &mut Stream,

@@ -1,8 +1,9 @@
 //! Bisection towards the edges of plateaus.
 //!
 //! If no guard is crossed and no brake is triggered, many inputs have the same robustness: a plateau without slope. A
-//! system with modes is often worst just beyond its edge, where robustness jumps, so the slope outside seldom leads
-//! there. Bisecting a segment from a plateau point to a near outside point finds the edge in a few evaluations.
+//! system that switches modes often has its smallest robustness just outside the edge of a plateau, where robustness
+//! jumps. The slope outside the plateau seldom leads there. Bisecting a segment from a plateau point to a near outside
+//! point finds the edge in a few evaluations.
 
 use std::collections::hash_map::Entry;
 use std::collections::{HashMap, HashSet};

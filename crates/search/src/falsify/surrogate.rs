@@ -27,11 +27,12 @@ pub(super) struct MetricSelection {
     points: usize,
 }
 
-/// A distance of points. Signals act through their integrals, and only until some instant; the data select how.
+/// A distance of points. Signals often act through their integrals, and only until some instant. The fit therefore
+/// selects from metrics that compare values, integrals or both, over the first part of each signal.
 #[derive(Debug, Clone, Copy, PartialEq)]
 struct Metric {
     signal_feature: SignalFeature,
-    /// Exponent of the considered share of each signal, 2^(-horizon/2).
+    /// Exponent of the share of each signal that counts, from its start: 2^(-horizon/2).
     horizon: i32,
     /// Exponent of the characteristic length, 1.6^exponent times [`MIN_LENGTH_SCALE`].
     length_exponent: i32,

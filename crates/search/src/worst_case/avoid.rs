@@ -34,10 +34,10 @@ pub enum EscapeKind {
     /// Escape whose smallest gap is the largest on the grid.
     #[default]
     LargestGap,
-    /// Escape with the least ∫ a² among those with at least half of that smallest gap in which the follower's brake
-    /// fires no later than in [`Self::LargestGap`].
+    /// Escape with the least ∫ a², subject to two limits. Its smallest gap is at least half that of
+    /// [`Self::LargestGap`], and the follower's brake fires no later than there.
     Gentlest,
-    /// Escape with the least sum of squared changes of acceleration among the same escapes.
+    /// Escape with the least sum of squared changes of acceleration, with the limits of [`Self::Gentlest`].
     LeastJerk,
 }
 
@@ -346,7 +346,8 @@ fn conclude(
         let late = problem.dead_steps.iter().position(|&steps| steps > 0);
         return Err(match (&search.solver_failure, late) {
             (Some(status), _) => UndecidedReason::Solver { status: status.clone() },
-            // With a delay neither decides: proofs assume egos that respond at once, and escapes assume the delay.
+            // With a delay, an escape and a proof may both be missing: an escape must exist with the delay, but a proof
+            // must exclude escapes of egos that respond at once.
             (None, Some(ego)) => UndecidedReason::EgoResponse { vehicle: ego + 1 },
             (None, None) => UndecidedReason::TooClose { low_m: best_m, high_m },
         });

@@ -1,8 +1,9 @@
 //! Model of a scenario (or of a box of scenarios) for the convex programs.
 //!
 //! All quantities are displacements from coasting: with d(t) = ∫∫a and w(t) = ∫a, an ego that starts at x₀ with v₀ has
-//! position x₀ + v₀ t + d and speed v₀ + w. The rest of each row is a constant, the *slack*. Over a box the slack has
-//! an upper bound, for proofs ([`BoundSide::Upper`]), and a lower bound, for escapes ([`BoundSide::Lower`]).
+//! position x₀ + v₀ t + d and speed v₀ + w. Each condition of an escape is a row of a program: a linear expression in d
+//! and w is at most a constant, the *slack*. Over a box the slack has an upper bound, for proofs
+//! ([`BoundSide::Upper`]), and a lower bound, for escapes ([`BoundSide::Lower`]).
 
 use crumple_verify::claim::MAX_EGOS;
 use crumple_verify::{Interval, SceneEgo, SceneFollower};
@@ -44,7 +45,8 @@ pub(super) struct AvoidanceProblem {
     /// True if the problem covers more than one scenario.
     pub(super) is_box: bool,
     pub(super) ranges: Option<ScenarioRanges>,
-    /// Reason why an escape of the model may not be one; a replay decides if possible.
+    /// Reason why an escape of the model may collide in the simulation, for example an unmodelled follower. A replay
+    /// decides if it can.
     pub(super) escape_caveat: Option<UndecidedReason>,
     /// Reason why a proof would not apply to this scenario.
     pub(super) proof_caveat: Option<UndecidedReason>,
@@ -104,7 +106,7 @@ impl AvoidanceProblem {
                         reaction_steps: u32::try_from(delay_steps(low, vehicle)).unwrap_or(u32::MAX),
                     });
                 }
-                // A collision ahead of it counts whatever it does.
+                // A proof remains possible: a collision ahead of this vehicle does not depend on its behaviour.
                 driver => {
                     escape_caveat.get_or_insert(UndecidedReason::Follower { vehicle: behind, driver: driver.name() });
                 }

@@ -103,7 +103,8 @@ pub fn build_certificate(
 }
 
 /// Returns branches that prove, for every firing, that no profile keeps every gap at `gap_m`. One branch covers all
-/// late firings: it shows an overlap with the follower's motion, and a follower that brakes later is further ahead.
+/// late firings: a follower that brakes later is further ahead, so a contradiction with the first of these firings
+/// holds for the later ones, too.
 fn closing_branches(problem: &AvoidanceProblem, search: &FiringSearch<'_>, gap_m: f64) -> Option<Vec<Branch>> {
     let never = problem.never_firing();
     let closes =
@@ -189,8 +190,9 @@ fn step_count(steps: usize) -> u32 {
     u32::try_from(steps).unwrap_or(u32::MAX)
 }
 
-/// Returns true if a certificate's claim covers a scenario: the same scene or a box around it, everything modelled.
-/// Noise is covered only if the certificate assumes its seed. The stated origin is ignored.
+/// Returns true if a certificate's claim covers a scenario. Its scene must be that of the scenario or a box around it,
+/// and must model everything in the scenario. Noise is covered only if the certificate assumes its seed. The stated
+/// origin is ignored.
 #[must_use]
 pub fn covers_scenario(certificate: &Certificate, scenario: &Scenario) -> bool {
     let Ok(problem) = AvoidanceProblem::new(&ScenarioBox::point(scenario)) else { return false };

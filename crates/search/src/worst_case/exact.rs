@@ -12,8 +12,8 @@
 //! later is further ahead, and d only decreases. For σ in [σ₁, σ₂] and k in [k₁, k₂] this relaxation is thus valid:
 //!
 //! - the guard has not fired before σ₁ and has fired by σ₂;
-//! - d at k₂ is at most the largest distance, over k, by which a vehicle that brakes from σ₂ is ahead of the rear
-//!   bumper of a coasting leader.
+//! - d at k₂ is at most D. D is the largest value, over all k in [k₁, k₂], of the front bumper of a vehicle that brakes
+//!   from σ₂ minus the rear bumper of a coasting leader.
 //!
 //! Best-first search over such boxes of σ and k ends with the cheapest profile.
 
@@ -64,7 +64,8 @@ pub(super) fn find_mildest(
     let mut node = None;
     for (widened, beyond_m) in MARGINS_BEYOND_BOUND_M.into_iter().enumerate() {
         search.beyond_m = beyond_m;
-        // The first margin selects the box. Larger margins in that box only make the brake fire with a filter, too.
+        // The first margin selects the box. Larger margins are then tried in that box, so that the brake also fires if
+        // a filter delays the observation.
         let found = match node {
             None => search.find_cheapest()?,
             Some(node) => match search.solve_relaxation(node) {

@@ -58,7 +58,8 @@ impl<'a> FiringSearch<'a> {
         self.bounds_m.iter().copied().fold(f64::NEG_INFINITY, f64::max)
     }
 
-    /// Solves programs until no firing can improve, `most` are solved, or `open_ends` of them left their firing open.
+    /// Solves programs until no firing can improve the result, `most` programs are solved, or `open_ends` programs gave
+    /// neither an escape nor a proof for their firing.
     pub(super) fn explore(&mut self, grid: &Grid, most: usize, mut open_ends: usize) {
         self.solved.fill(false);
         for _ in 0..most {
@@ -77,7 +78,8 @@ impl<'a> FiringSearch<'a> {
     fn min_useful_bound_m(&self) -> f64 {
         let escape = self.best.as_ref().filter(|best| best.gap_m > 0.0);
         escape.map_or(0.0, |best| {
-            // The loss of the grid against continuous time cannot be recovered on the same grid.
+            // The difference between bound and gap of the best firing is the loss of the grid against continuous time.
+            // No program on the same grid recovers it.
             let slack_m = (self.bounds_m[best.firing] - best.gap_m).max(0.0);
             best.gap_m + slack_m + MIN_GAP_GAIN_M
         })

@@ -38,7 +38,7 @@ impl Multipliers {
         Self { between: vec![Vec::new(); egos.saturating_sub(1)], speed: vec![Vec::new(); egos], ..Self::default() }
     }
 
-    /// Returns, for each initial gap, a multiplier of that row alone.
+    /// Returns one set of multipliers for each initial gap, in which only the row of that gap has a multiplier.
     pub(super) fn for_initial_gaps(problem: &AvoidanceProblem) -> impl Iterator<Item = Self> {
         let first = || vec![(0, 1.0)];
         let none = Self::zero(problem);
@@ -52,7 +52,7 @@ impl Multipliers {
         [Some(front), rear].into_iter().flatten().chain(between)
     }
 
-    /// Returns a multiplier of the firing row alone.
+    /// Returns multipliers in which only the firing row has one.
     pub(super) fn for_firing(problem: &AvoidanceProblem) -> Self {
         Self { fired: 1.0, ..Self::zero(problem) }
     }
@@ -65,8 +65,9 @@ impl Multipliers {
         })
     }
 
-    /// Returns multipliers for the firing, and for the last ego not to reverse once it stands. With φ = 1 at τ the
-    /// coefficient is q(t) = t_τ - t + θ; `spacing` is subtracted at every `spacing` steps after standstill.
+    /// Returns multipliers of two kinds of rows: the brake fires at step τ, and the last ego does not reverse once it
+    /// stands. With φ = 1, the firing row gives q(t) = t_τ - t + θ. After standstill, a speed row every `spacing` steps
+    /// reduces q by the time of `spacing` steps, so that q stays near 0.
     pub(super) fn for_standstill(problem: &AvoidanceProblem, firing: usize, spacing: usize) -> Self {
         let mut multipliers = Self::for_firing(problem);
         let theta_s = problem.follower.as_ref().map_or(0.0, |follower| follower.ttc_s);
@@ -157,7 +158,7 @@ impl DualProof {
         self.multipliers.fired > 0.0
     }
 
-    /// Returns the infimum of L if the brake fires at step `firing`, or, without `fired`, then or later.
+    /// Returns the infimum of L. With `fired`, the brake fires at step `firing`; without it, at this step or later.
     pub(super) fn infimum(&self, problem: &AvoidanceProblem, firing: usize, fired: bool) -> f64 {
         let mut total = self.constant;
         for &(step, value) in &self.multipliers.rear {
@@ -180,7 +181,8 @@ impl DualProof {
         total
     }
 
-    /// Returns the infimum minus its maximum for profiles that keep every gap at `gap_m`. If positive, there is none.
+    /// Returns the infimum of L minus the largest L that a profile with all gaps at least `gap_m` can have. If the
+    /// result is positive, there is no such profile.
     pub(super) fn excess(&self, problem: &AvoidanceProblem, firing: usize, fired: bool, gap_m: f64) -> f64 {
         self.infimum(problem, firing, fired) + gap_m * self.weight
     }

@@ -195,12 +195,14 @@ impl<'a> EscapeProgram<'a> {
         let last = problem.egos.len() - 1;
         let (leader_rests, follower_rests) =
             (problem.leader_standstill_step(), problem.follower_standstill_step(firing));
-        // With upper slacks over a box, the slowest member may lose the speed of the fastest one, and so reverse.
+        // Upper slacks allow each ego the speed loss of the fastest member of the box. With this loss the slowest
+        // member would reverse.
         let may_reverse = problem.is_box && side == BoundSide::Upper;
         for instant in 1..=self.grid.cell_count() {
             let step = self.grid.steps[instant];
             let d = |program: &Self, ego: usize| program.speed_variable(ego, instant) + 1;
-            // Behind a standing leader or ahead of a standing follower the last row suffices: egos do not reverse.
+            // Egos do not reverse. Behind a standing leader, only the row of the final instant is needed; ahead of a
+            // standing follower, only the first row.
             if step <= leader_rests || instant == self.grid.cell_count() || may_reverse {
                 let terms = [(d(self, 0), 1.0), (GAP_VARIABLE, 1.0)];
                 self.add_inequality(ConstraintRow::Front(step), &terms, problem.front_slack_m(step, side));

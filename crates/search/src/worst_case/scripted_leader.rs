@@ -24,7 +24,8 @@ impl ScriptedLeader {
         let hull = one.iter().zip(&other).map(|(&a, &b)| interval_hull(a, b));
         let driver = |scenario: &Scenario| scenario.vehicles().first().map(|leader| leader.driver.clone());
         let mut hardest = Interval::point(0.0);
-        // If rate or onset vary, the first end to stand no longer shows the braking of the others: keep the last value.
+        // If rate or onset vary, one end of the box may stand while other members still brake. Its acceleration is then
+        // 0, so the hardest braking so far is kept in the interval.
         let acceleration_mps2: Vec<Interval> = if driver(low) == driver(high) {
             hull.collect()
         } else {
@@ -64,7 +65,8 @@ pub(super) fn interval_hull(one: f64, other: f64) -> Interval {
 }
 
 /// Returns the acceleration of the scripted leader in each step. Without noise it is the command, also at standstill,
-/// because another member of a box may still move. Commands do not increase with speed, so the ends bound the box.
+/// because another member of the box may still move. Commands never increase with speed, so the commands of the two
+/// ends bound those of all members.
 fn script_acceleration_mps2(scenario: &Scenario) -> Vec<f64> {
     let Some(leader) = scenario.vehicles().first() else { return Vec::new() };
     let Driver::Profile(profile) = &leader.driver else { return Vec::new() };

@@ -39,7 +39,8 @@ pub(super) fn create_locked(folder: &Path) -> io::Result<NamedTempFile> {
     loop {
         let file = builder.tempfile_in(folder)?;
         let is_locked = !matches!(file.as_file().try_lock(), Err(TryLockError::WouldBlock));
-        // Another process may have removed the unlocked file. Without locks, no process removes files of others.
+        // Before the lock, another process may have removed the file as abandoned. On a file system without locks no
+        // process does so.
         if is_locked && file.path().exists() {
             return Ok(file);
         }

@@ -15,7 +15,8 @@ pub(super) const LOCK_FILE: &str = "work.lock";
 pub struct FolderLock {
     /// Holds the lock of the operating system.
     file: File,
-    /// The folder itself, if it can be locked: this lock stays if the file is removed.
+    /// The locked folder itself, if the file system can lock folders. It protects the run even if the lock file is
+    /// deleted.
     folder: Option<File>,
 }
 
@@ -43,7 +44,8 @@ impl FolderLock {
 }
 
 impl Drop for FolderLock {
-    /// Unlocks explicitly: a child process that is being started holds the file open until it executes its program.
+    /// Unlocks explicitly. Closing the file is not enough: a child process inherits the open file, and with it the
+    /// lock, until it executes its program.
     fn drop(&mut self) {
         // A failure has no remedy; the end of the process releases the lock at the latest.
         let _ = self.file.unlock();

@@ -29,7 +29,8 @@ pub(super) struct Manifest {
     /// [`crate::program::identity`]; `None` once the run is complete, so that all builds write the same bytes.
     pub(super) program: Option<String>,
     pub(super) configuration_sha256: String,
-    /// Outputs of the run, apart from its other files: nothing else may be at these paths. Folders end in a slash.
+    /// Paths that the run will write, in addition to `files`. Before the run writes them, nothing may exist there.
+    /// Folders end in a slash.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     outputs: Vec<String>,
     /// True if other files may lie in its folders.
@@ -132,7 +133,7 @@ impl Manifest {
         })
     }
 
-    /// Returns the name and SHA-256 of every whole file, and of the manifest.
+    /// Returns the name and SHA-256 of every file except append-only ones, and of the manifest.
     pub(super) fn digests(&self) -> Vec<(String, String)> {
         let own = self.to_json().map(|text| (MANIFEST_FILE.to_owned(), sha256(text)));
         let files = self.files.iter().filter_map(|(name, state)| match state {
@@ -151,8 +152,8 @@ impl Manifest {
         self.files.contains_key(name) || self.pending.iter().any(|pending| pending.name() == name)
     }
 
-    /// Returns unlisted entries in the folders of the run, except the root, and files at the paths of unwritten
-    /// outputs.
+    /// Returns the unlisted entries in the subfolders of the run, and files at the paths of outputs that are not yet
+    /// written. Other entries of the root folder are [unrelated](Self::unrelated_files).
     pub(super) fn unlisted_files(&self, root: &Path) -> Result<Vec<PathBuf>, DiskError> {
         if self.shares_folders {
             return Ok(Vec::new());
@@ -227,7 +228,7 @@ impl Manifest {
         self.files.keys().filter_map(|name| name.rsplit_once('/')).map(|(folder, _)| folder).collect()
     }
 
-    /// Announces that the file `unfinished` will replace another, and the state after that.
+    /// Announces that the file `unfinished` will replace the file `name`, which then has the given state.
     pub(super) fn add_pending_move(&mut self, name: &str, unfinished: String, state: FileState) {
         self.pending.retain(|pending| pending.name() != name);
         self.pending.push(PendingChange::Move { unfinished, name: name.to_owned() });

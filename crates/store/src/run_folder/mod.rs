@@ -2,9 +2,9 @@
 //! a damaged one.
 //!
 //! The manifest `work.json` records the kind of the run, its program, its configuration, and the size and SHA-256 of
-//! every file. Files are written under temporary names and synced to disk. The manifest announces the renames. If the
-//! process ends before them, the next one that opens the folder completes them. Every change is therefore atomic,
-//! however the process ends. One process uses a folder at a time.
+//! every file. Files are written under temporary names and synced to disk. The manifest then announces their renames.
+//! If the process ends before it has made all of them, the next process that opens the folder makes the rest. Every
+//! change is therefore atomic, however the process ends. One process uses a folder at a time.
 //!
 //! A run folder may include others ([`RunFolder::include`]). A damaged incomplete run must be started again in another
 //! folder.
@@ -47,10 +47,11 @@ pub fn is_run_folder(folder: &Path) -> bool {
 /// Folder in which earlier versions kept backups of files until the run was complete.
 const PREVIOUS_FOLDER: &str = "previous";
 
-/// Returns the manifest `work.json` of files that the caller writes all at once, such as a report, for [`examine`].
+/// Returns the text of a manifest `work.json` for files that the caller writes without a [`RunFolder`], such as a
+/// report, so that [`examine`] can check them.
 ///
 /// # Errors
-/// [`serde_json::Error`] in principle; the content is text and numbers.
+/// [`serde_json::Error`] never occurs in practice, because the content is text and numbers.
 pub fn manifest_text<'a>(
     kind: &str,
     configuration: &str,
@@ -238,7 +239,8 @@ impl RunFolder {
         self.lock_manifest().program.is_none()
     }
 
-    /// Returns a hash of the kind, the program and the configuration, for records with their own checksums.
+    /// Returns a hash of the kind, the program and the configuration. Journals and other append-only files contain it,
+    /// so that a file of another run is recognised.
     #[must_use]
     pub fn identity(&self) -> String {
         self.lock_manifest().identity(self.program)

@@ -46,7 +46,7 @@ pub(super) fn apply(folder: &Path, changes: &[&PendingChange]) -> Result<(), Dis
         match change {
             PendingChange::Move { unfinished, .. } => {
                 parents.extend(path.parent().map(Path::to_owned));
-                // If both names refer to one file, the rename moves neither.
+                // Also remove the temporary name: a rename between two hard links of one file leaves both names.
                 gone.push(folder.join(unfinished));
             }
             PendingChange::Remove { .. } => gone.push(path),

@@ -104,7 +104,7 @@ impl<T: PartialEq> Parts<T> {
         MergeError::Foreign { folder: folder.to_owned(), first: self.first_folder.clone(), field }
     }
 
-    /// Returns the error about content that all shards share, found after the merge.
+    /// Returns an error about a file with equal content in all shards. It names the folder of the first shard.
     #[must_use]
     pub fn damaged_error(&self, name: &str, problem: String) -> MergeError {
         RunFolderError::damaged(&self.first_folder.join(name), problem).into()
@@ -116,7 +116,8 @@ impl<T: PartialEq> Parts<T> {
     /// [`MergeError`] if the range overlaps another shard, or the same shard has other results.
     pub fn insert(&mut self, folder: &Path, shard: ShardId, range: Range<u64>, contents: T) -> Result<(), MergeError> {
         let folder = folder.to_owned();
-        // The last part that begins before its end. Parts do not overlap, so no other can overlap the range more.
+        // The last part that begins before the end of the range. Stored parts do not overlap, so if this one does not
+        // overlap the range, none does.
         let before = self.parts.range(..range.end).next_back().map(|(_, part)| part);
         match before.filter(|part| part.range.end > range.start) {
             Some(same) if same.shard == shard && same.contents == contents => self.duplicates += 1,

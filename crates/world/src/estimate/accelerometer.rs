@@ -19,7 +19,8 @@ impl Accelerometer {
         Self { speed_mps, acceleration_mps2: 0.0 }
     }
 
-    /// Returns the deviation over the last step from a motion that kept the acceleration of the step before.
+    /// Returns by how much speed and acceleration differ from those of a motion that keeps its previous acceleration
+    /// over the last step.
     ///
     /// `acceleration_mps2` was held over the step that ends now, as in
     /// [`Observation`](crate::observation::Observation).

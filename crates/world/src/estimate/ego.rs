@@ -37,9 +37,9 @@ impl EgoTuning {
     /// Returns error bounds of gap ahead (m), own speed and leader speed (m/s) if no measurement is lost.
     ///
     /// `spans_mps2` are the widths of the ranges in which the own and the leader's acceleration vary. Noise is bounded
-    /// by `deviations` steady-state standard deviations. Only the leader misleads a filter: the own acceleration is fed
-    /// forward. For a vehicle that stops within a step, the bounds use its mean acceleration over the step; this omits
-    /// a position error below a h²/8.
+    /// by `deviations` steady-state standard deviations. Only changes of the leader's acceleration cause filter errors,
+    /// because the own acceleration is fed forward. For a vehicle that stops within a step, the bounds use its mean
+    /// acceleration over the step; this omits a position error below a h²/8.
     pub(crate) fn worst_errors(&self, spans_mps2: [f64; 2], deviations: f64) -> [f64; 3] {
         let [own_mps2, ahead_mps2] = spans_mps2;
         let worst = |tuning: &Tuning, span_mps2: f64| {
@@ -79,8 +79,8 @@ pub struct TrueState {
 ///
 /// Three independent filters estimate own position, gap ahead and gap behind. The rate of a gap is a difference of two
 /// speeds. A neighbour's speed is therefore the own speed plus (ahead) or minus (behind) the rate of its gap;
-/// accelerations likewise. TTC needs only gap and closing speed, which come from one filter without the error of the
-/// own speed, unless an estimated speed is clipped at 0.
+/// accelerations likewise. TTC depends only on gap and closing speed. Both come from one filter, so the error of the
+/// own speed does not affect TTC, unless an estimated speed is clipped at 0.
 ///
 /// Measured changes of the own motion are fed forward into all three filters.
 #[derive(Debug, Clone)]

@@ -82,7 +82,8 @@ impl Tuning {
     /// step to step.
     ///
     /// The error is linear in the acceleration, so its maximum is the sum of the absolute responses to a unit step. A
-    /// constant acceleration leaves no error: only half the width of a range of accelerations counts, not its position.
+    /// constant acceleration causes no steady error. The error for a range of accelerations therefore depends on half
+    /// its width, not on its middle.
     pub(crate) fn manoeuvre_errors(&self) -> [f64; 2] {
         let h = self.step_s;
         let mut filter = Filter::new_steady(self, 0.0, 0.0, [0.0; 3]);

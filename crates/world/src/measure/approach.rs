@@ -57,8 +57,8 @@ impl PairState {
 /// After lane changes the leader may be another vehicle.
 ///
 /// The approach ends at the first contact: afterwards the gap is zero, and time to collision would be a quotient of
-/// rounding errors. The instant of contact is the last state, independent of samples and of whether the run continues,
-/// so that all measures agree.
+/// rounding errors. The last state is the instant of contact. It does not depend on the sample times, nor on whether
+/// the run continues after the contact. All measures therefore agree.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Approach {
     segments: Vec<ApproachSegment>,
@@ -76,15 +76,15 @@ struct ApproachSegment {
 impl Approach {
     /// Creates the approach of vehicle `rear` to its leader; `None` without a leader or without such a vehicle.
     ///
-    /// Contacts come from `impacts`, or else from the first sample without a gap. Tracks of unequal length count up to
-    /// the shortest.
+    /// Contacts come from `impacts`, or else from the first sample without a gap. If tracks have unequal lengths, the
+    /// end of the shortest is the end for all.
     #[must_use]
     pub fn from_trace(trace: &Trace, impacts: &[Impact], rear: usize) -> Option<Self> {
         let contact = impacts.iter().map(|impact| &impact.contact).find(|contact| contact.rear_vehicle == rear);
         Self::from_pairs(&trace.pairs(rear), contact)
     }
 
-    /// Creates the approach of the follower of vehicle `front` to it; `None` without a follower.
+    /// Creates the approach to vehicle `front` by its follower; `None` without a follower.
     pub(super) fn from_trace_behind(trace: &Trace, impacts: &[Impact], front: usize) -> Option<Self> {
         let contact = impacts.iter().map(|impact| &impact.contact).find(|contact| contact.front_vehicle == front);
         let behind = front.checked_add(1)?..trace.vehicles.len();

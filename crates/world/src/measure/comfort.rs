@@ -12,7 +12,7 @@ pub const JERK_WINDOW_S: f64 = 0.1;
 
 /// Returns the hardest deceleration in m/s², positive; 0 without braking, `None` for less than two samples.
 ///
-/// Expects one acceleration for each sample; the last is held for no time and does not count.
+/// Expects one acceleration for each sample, which is held until the next sample. The last one is therefore ignored.
 #[must_use]
 pub fn peak_brake_mps2(acceleration_mps2: impl ExactSizeIterator<Item = f64>) -> Option<f64> {
     let held = acceleration_mps2.len().checked_sub(1)?;

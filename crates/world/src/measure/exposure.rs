@@ -26,10 +26,11 @@ impl Approach {
     /// `TIT = ∫ max(0, TTC* - TTC) dt`, both 0 if the gap never closed.
     ///
     /// The integrals end at the contact or at the end of the trace. The authors sum over equidistant samples; here each
-    /// step has its own weight, since the last one before a contact may be shorter. The threshold is crossed where the
-    /// linear `TTC* closing - gap` is zero, which unlike time to collision has no pole. The shortfall `TTC* - TTC` is
-    /// linear on the exposed part (trapezoid). The error falls with the square of the step if time to collision does
-    /// not recover from near zero within one. `TIT <= TTC* TET` always.
+    /// step has its own weight, since the last one before a contact may be shorter. Within a step, `TTC* closing - gap`
+    /// is interpolated linearly, because it has no pole, unlike time to collision; the threshold is crossed where it is
+    /// zero. On the part of a step below the threshold, the shortfall `TTC* - TTC` is interpolated linearly
+    /// (trapezoid). The error falls with the square of the step, unless time to collision recovers from near zero
+    /// within one step. `TIT <= TTC* TET` always.
     ///
     /// Source: Minderhoud and Bovy 2001, "Extended time-to-collision measures for road traffic safety assessment",
     /// Accident Analysis and Prevention 33, 89-97; as integrals in Westhofen et al. 2023, "Criticality metrics for

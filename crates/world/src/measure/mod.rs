@@ -1,9 +1,9 @@
 //! Surrogate safety measures of a run, and signal temporal logic ([`stl`]).
 //!
-//! Collisions are rare; these measures state how close a run without one came to it, and how severe a run with one was.
-//! Each pointwise formula is a function with its source. [`Approach`] applies those of a pair to a trace up to its
-//! contact; [`Measures`] holds the results of one vehicle. [`UsefulnessMeasures`] states whether a vehicle makes
-//! progress, and at what cost to others.
+//! Collisions are rare. For a run without a collision, these measures state how close it came to one; for a run with a
+//! collision, how severe it was. Each pointwise formula is a function with its source. [`Approach`] applies those of a
+//! pair to a trace up to its contact; [`Measures`] holds the results of one vehicle. [`UsefulnessMeasures`] states
+//! whether a vehicle makes progress, and at what cost to others.
 //!
 //! All measures use the true motion, not the observations of a controller.
 
@@ -57,7 +57,7 @@ pub struct Measures {
     /// Largest change of acceleration within [`JERK_WINDOW_S`], divided by it, in m/s³; `None` for less than two
     /// samples.
     pub peak_jerk_mps3: Option<f64>,
-    /// Number of impacts of the vehicle: hitting, hit, or stuck to a vehicle that was.
+    /// Number of impacts that involve the vehicle: it hits, is hit, or is locked to a vehicle that hits or is hit.
     pub impacts: usize,
     /// Largest change of speed in one impact, in m/s; `None` without impacts.
     pub max_delta_v_mps: Option<f64>,
@@ -94,7 +94,7 @@ pub struct LeadMeasures {
 impl Measures {
     /// Computes the measures of vehicle `index` in a run; `None` if the trace has no such vehicle.
     ///
-    /// `impacts` are those of the run. Tracks of unequal length count up to the shortest.
+    /// `impacts` are those of the run. If tracks have unequal lengths, the end of the shortest is the end for all.
     #[must_use]
     pub fn from_trace(trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
         let track = trace.vehicles.get(index)?;

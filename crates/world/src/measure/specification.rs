@@ -41,7 +41,7 @@ pub enum SpecificationError {
     /// A text that does not parse.
     #[error(transparent)]
     Parse(#[from] FormulaParseError),
-    /// A text without a comparison that is not a rule either, such as a misspelt rule.
+    /// A text that is neither a rule nor a formula with a comparison, such as a misspelt rule.
     #[error(
         "{formula}. Other specifications: `{}`, {}",
         Specification::NO_CONTACT,
@@ -91,8 +91,8 @@ pub struct RunVerdict {
     /// First contact, if there was one.
     pub contact: Option<FirstContact>,
     /// Time of a controller failure, in seconds, and index of its vehicle. The run then violates every specification,
-    /// with a robustness of negative infinity. With a non-negative robustness, the failed controller is that of the
-    /// partner run in a comparison.
+    /// with a robustness of negative infinity. In a comparison with a partner run, a failure with non-negative
+    /// robustness is that of the partner's controller.
     pub failure: Option<(f64, u32)>,
 }
 
@@ -190,7 +190,7 @@ impl Specification {
             let column = signal_column(text, name).unwrap_or(1);
             return Err(SpecificationError::UnknownSignal { column, name: name.to_owned(), known });
         }
-        // Windows without an end are clipped to the run; a stated end must exist.
+        // A window without an end is clipped to the run. A stated end must lie within the run.
         let (horizon_s, duration_s) = (formula.horizon_s(), nominal.spec().duration_s);
         if horizon_s.is_finite() && horizon_s > duration_s {
             return Err(SpecificationError::HorizonTooLong { horizon_s, duration_s });

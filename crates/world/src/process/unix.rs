@@ -23,7 +23,8 @@ const MAX_LINE_BYTES: usize = 1 << 20;
 
 const READ_BYTES: usize = 64 << 10;
 
-/// Time in which a program that closed its output must have an exit code.
+/// Time to wait for the exit code of a program that has closed its output. After that the error is
+/// [`ProcessProblem::Closed`].
 const EXIT_CODE_TIMEOUT: Duration = Duration::from_millis(200);
 
 /// Time to exit after stdin is closed. The host of an FMU removes its unpacked files in that time.
@@ -128,7 +129,8 @@ impl ChildProcess {
         self.consumed = 0;
         let (mut rest, mut searched) = (request, 0);
         loop {
-            // A surplus line counts as this reply, whenever it came, so that the outcome does not depend on timing.
+            // A line that the program wrote too early counts as this reply. Whether it arrives before or after the
+            // query depends on timing; the result must not.
             if rest.is_empty() {
                 let new = self.received.get(searched..).unwrap_or_default();
                 if let Some(length) = new.iter().position(|byte| *byte == b'\n') {
@@ -154,7 +156,7 @@ impl ChildProcess {
     /// Waits until the process has output, or accepts input if `wants_to_write`, and reads the output.
     fn poll_pipes(&mut self, wants_to_write: bool, end: Instant, within: Duration) -> Result<(), ProcessProblem> {
         let Some(left) = end.checked_duration_since(Instant::now()) else { return Err(self.timeout_problem(within)) };
-        // Polls stdout twice if nothing is to be written.
+        // The number of polled pipes is fixed: if nothing is to be written, stdout takes the place of stdin.
         let input = match &self.stdin {
             Some(input) if wants_to_write => PollFd::new(input, PollFlags::OUT),
             _ => PollFd::new(&self.stdout, PollFlags::IN),

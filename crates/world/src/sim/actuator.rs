@@ -72,8 +72,8 @@ impl Actuator {
     }
 }
 
-/// Adds noise to an acceleration, but not at rest: a vehicle that stands and does not command motion is held by its
-/// brakes, and noise does not brake one that stands and commands motion.
+/// Adds noise to an acceleration, with two exceptions at standstill. A vehicle that does not command motion is held by
+/// its brakes. For a vehicle that commands motion, noise cannot make the acceleration negative.
 ///
 /// Not for vehicles that are locked together; their motion depends on their summed forces.
 #[inline]

@@ -24,7 +24,8 @@ impl Motion {
 
     /// Returns the motion at `from_s`, valid until the vehicle stops; without acceleration if it stands.
     ///
-    /// Time decides if it stands: at the instant of the stop, rounding can leave a positive speed.
+    /// The time decides whether the vehicle stands, not the speed: rounding can leave a positive speed at the instant
+    /// of the stop.
     fn piece_from(self, from_s: f64) -> Self {
         let later = self.after(from_s);
         if from_s < self.stopping_time_s() { later } else { Self { speed_mps: 0.0, acceleration_mps2: 0.0, ..later } }

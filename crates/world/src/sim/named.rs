@@ -266,7 +266,8 @@ impl NamedController {
         Ok(Self { name: name.to_owned(), kind: controller_file::load(&place, named_by)? })
     }
 
-    /// Returns the identity if name and policy do not determine it: for external controllers, and under other names.
+    /// Returns the identity of the controller unless its name, or its name and policy, already determine it. External
+    /// controllers and controllers under another name need it.
     #[must_use]
     pub fn disambiguating_hash(&self) -> Option<String> {
         if is_identified_by_name(&self.kind, &self.name) { None } else { self.kind.identity() }
@@ -340,7 +341,8 @@ fn not_a_controller(name: &str, folder: &Path) -> Option<UnknownController> {
     };
     let command = match extension.as_deref() {
         Some("py") => format!("python3 {name}"),
-        // A script runs as it is; source or library files stand for their program.
+        // A shell script can be run itself. A compiled source file or a library suggests a program of the same name
+        // without the extension.
         Some("sh") => command_path(Path::new(name)),
         _ => command_path(&Path::new(name).with_extension("")),
     };

@@ -84,8 +84,9 @@ impl PlatoonState {
         dt_s
     }
 
-    /// Advances all vehicles by `dt_s` if no lane change, lock, possible collision or minimum gap inside the step needs
-    /// [`Self::advance_and_track_gaps`], to which it is bit-identical. Otherwise returns false without an effect.
+    /// Advances all vehicles by `dt_s`, bit-identical to [`Self::advance_and_track_gaps`], but faster. Returns false
+    /// and changes nothing if there are lane changes or locked vehicles, or if a collision or the minimum gap may be
+    /// inside the step.
     #[inline]
     fn advance_contact_free(&mut self, dt_s: f64) -> bool {
         let mut ends = [Motion { position_m: 0.0, speed_mps: 0.0, acceleration_mps2: 0.0 }; MAX_SHORT_LINE_VEHICLES];

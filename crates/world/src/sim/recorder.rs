@@ -29,7 +29,7 @@ pub(crate) fn ttc_s(gap_m: f64, closing_mps: f64) -> f64 {
 }
 
 pub(super) fn summarize_vehicle(min_gap_m: f64, tally: VehicleExtremes, speed_mps: f64) -> VehicleSummary {
-    // If another collision ends the run at the instant at which this pair collides, the gap may be slightly negative.
+    // The gap may be slightly negative if another collision ends the run at the same instant as that of this pair.
     let min_gap_m = min_gap_m.max(0.0);
     // Samples lie on either side of a collision; at the collision itself time to collision is 0.
     let min_ttc_s = if min_gap_m == 0.0 { 0.0 } else { tally.min_ttc_s };

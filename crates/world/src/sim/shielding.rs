@@ -146,14 +146,15 @@ impl Run {
 
     /// Returns bounds of the motion of vehicle `front` and its follower in this run, without collisions.
     ///
-    /// No vehicle overtakes, so the first vehicle bounds all positions. A vehicle in the kernel of its leader is at
-    /// most as fast as D <= g allows: v²/2b - w²/2c is at most the road between them.
+    /// No vehicle overtakes, so the first vehicle bounds all positions. For a vehicle (speed v, brake b) in the kernel
+    /// with its leader (speed w, brake c), the difference of their stopping distances v²/2b - w²/2c is at most the gap,
+    /// and the gap is at most the road of the run. This bounds v.
     fn motion_bounds(&self, front: usize, frame: &ShieldParams) -> MotionBounds {
         let spec = self.scenario().spec();
         let vehicles = self.scenario().vehicles();
         let fastest_mps = |vehicle: &VehicleSpec| {
             let accel_mps2 = match &vehicle.driver {
-                // A vehicle follows a recording as closely as its limits allow.
+                // To follow a recording, a vehicle may use any acceleration within its limits.
                 Driver::Profile(profile) if !matches!(profile, LeadProfile::Recorded(_)) => {
                     profile.acceleration_range_mps2()[1].min(vehicle.max_accel_mps2())
                 }

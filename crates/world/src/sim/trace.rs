@@ -28,9 +28,11 @@ pub struct Track {
     pub position_m: Vec<f64>,
     /// Speed at each sample in m/s, never negative.
     pub speed_mps: Vec<f64>,
-    /// Acceleration from each sample to the next, in m/s². The last entry repeats the one before or follows an impact.
+    /// Acceleration from each sample to the next, in m/s². The last entry repeats the one before, or is the
+    /// acceleration after an impact.
     ///
-    /// Before the stop in a step with a stop, and 0 while the vehicle stands. Impacts are not included.
+    /// If the vehicle stops within a step, the entry is the acceleration before the stop. It is 0 while the vehicle
+    /// stands. Changes of speed by impacts are not included.
     pub acceleration_mps2: Vec<f64>,
     /// Times of entry and exit, in seconds: [`THROUGHOUT_S`](Self::THROUGHOUT_S) without lane changes, infinite if the
     /// vehicle never entered. Outside the lane a vehicle has no neighbours.
@@ -56,7 +58,8 @@ impl Track {
         })
     }
 
-    /// Returns the motion at a time in seconds, from the latest of `times_s` up to it; `None` before the first.
+    /// Returns the motion at a time in seconds, computed from the last sample at or before it; `None` before the first
+    /// sample.
     fn motion_at(&self, times_s: &[f64], time_s: f64) -> Option<Motion> {
         let sample = times_s.partition_point(|&sampled_s| sampled_s <= time_s).checked_sub(1)?;
         Some(self.motion(sample)?.after(time_s - times_s.get(sample)?))
@@ -144,12 +147,12 @@ pub struct VehiclePair<'a> {
     pub front: &'a Track,
     /// The follower.
     pub rear: &'a Track,
-    /// Start and end of that time, in seconds; infinite without lane changes.
+    /// Start and end of the time for which no vehicle is between the two, in seconds; infinite without lane changes.
     pub span_s: [f64; 2],
 }
 
 impl<'a> VehiclePair<'a> {
-    /// Returns the gap in metres at each sample of that time, with the index of the sample.
+    /// Returns the gap in metres at each sample within `span_s`, with the index of the sample.
     pub fn gaps_m(&self) -> impl Iterator<Item = (usize, f64)> + use<'a> {
         let Self { front, rear, .. } = *self;
         self.samples().filter_map(move |sample| {
@@ -158,7 +161,7 @@ impl<'a> VehiclePair<'a> {
         })
     }
 
-    /// Returns the samples of that time, including both ends.
+    /// Returns the samples within `span_s`, including both ends.
     pub(crate) fn samples(&self) -> Range<usize> {
         let [from_s, to_s] = self.span_s;
         let first = self.time_s.partition_point(|&time_s| time_s < from_s - TIME_TOLERANCE_S);

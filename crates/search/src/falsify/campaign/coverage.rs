@@ -6,8 +6,8 @@ const BINS: usize = 10;
 
 /// Covered bins of each coordinate, and cells of each pair of coordinates, with ten bins per coordinate.
 ///
-/// Pairs measure the combinatorial coverage (t-way coverage with t = 2): most failures need one or two particular
-/// values together, and the measure shows a search that stays in one corner.
+/// Pairs measure the combinatorial coverage (t-way coverage with t = 2), because most failures need only one particular
+/// value or a combination of two. A low coverage reveals a search that stays in one corner.
 #[derive(Debug, Clone)]
 pub(super) struct Coverage {
     dimension: usize,

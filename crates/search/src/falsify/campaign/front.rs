@@ -8,8 +8,8 @@ use super::{FailureCandidate, FailureKind};
 use crumple_world::measure::Specification;
 use crumple_world::scenario::Scenario;
 
-/// Maximum number of failures on the front. Random points give about ten failures; the limit keeps memory independent
-/// of the budget.
+/// Maximum number of failures on the front. A front of random points has about ten failures. The limit keeps memory
+/// independent of the budget.
 const MAX_FAILURES: usize = 1000;
 
 /// The Pareto front of severity and likelihood, the severest failure first. Of two failures with equal likelihood, the

@@ -43,7 +43,8 @@ impl SearchObjective {
         }
     }
 
-    /// Returns the cost to minimise: the robustness; for failures a lower value, which falls towards the objective.
+    /// Returns the cost to minimise. Without a failure it is the robustness. For [`Self::Likeliest`] and
+    /// [`Self::Nearest`], a failure has a negative cost, which is lower the better it meets the objective.
     #[must_use]
     pub(crate) fn cost(self, evaluated: &EvaluatedPoint) -> f64 {
         let robustness = evaluated.verdict.robustness;

@@ -10,7 +10,8 @@ const MIN_SHARE: f64 = 0.02;
 /// Maximum number of points for the tree: the first ones, which represent both reference searches.
 const MAX_POINTS: usize = 40_000;
 
-/// Points of the reference searches, with true for a failure. Even spread makes shares of points shares of the space.
+/// Points of the reference searches, with true for a failure. The points are spread evenly, so that the share of points
+/// in a region estimates its share of the space.
 #[derive(Debug, Clone, Default)]
 pub(super) struct LabelledPoints {
     points: Vec<(Vec<f64>, bool)>,

@@ -191,7 +191,7 @@ impl CampaignRun<'_> {
             }
             let known = verdicts.len();
             verdicts.extend(self.campaign.evaluate(space, points.get(known..).unwrap_or_default())?);
-            // An observer that stops the campaign may have ended simulations early: drop their verdicts.
+            // If the observer stops the campaign, this batch is dropped: some of its simulations may have ended early.
             observer.notify(&self.progress(Some(&reached)))?;
             if let Some(durable) = self.journal.append(verdicts.get(known..).unwrap_or_default())? {
                 self.run_folder.record_prefix(JOURNAL_FILE, durable)?;

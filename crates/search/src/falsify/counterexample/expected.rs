@@ -81,8 +81,9 @@ pub struct ReplayResult {
     pub nominal: RunVerdict,
     /// Verdict at a tenth of the step.
     pub finer: RunVerdict,
-    /// True if the nominal verdict has the recorded violation, vehicles and contact time (within a millisecond), and
-    /// the finer verdict has that violation and those vehicles, or differs if the record is `dt_fragile`.
+    /// True if the replay agrees with the record. The nominal verdict must have the recorded violation, vehicles and
+    /// contact time (within a millisecond). The finer verdict must have the recorded violation and vehicles, or differ
+    /// in them if the record is `dt_fragile`.
     pub as_recorded: bool,
 }
 

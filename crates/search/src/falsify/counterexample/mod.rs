@@ -100,7 +100,8 @@ pub struct ChangedParameter {
     pub value: String,
     /// Unit.
     pub unit: String,
-    /// Smallest and largest observed value, if the value is outside them, in a space fitted to recordings.
+    /// Smallest and largest value in the recordings that the space was fitted to; `None` if the value lies between
+    /// them, or for other spaces.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub outside_observed: Option<[f64; 2]>,
 }

@@ -86,7 +86,8 @@ fn move_towards_nominal(parameter: &SpaceParameter, current: &mut Vec<f64>, hold
     }
 }
 
-/// Rounds values to the fewest decimals, from tens to thousandths, with which the failure survives; nearer side first.
+/// Rounds values to the fewest decimals, from tens to thousandths, with which the failure survives. Tries the nearest
+/// rounded value first, then the one on the other side.
 fn round_values(parameter: &SpaceParameter, current: &mut Vec<f64>, holds: &mut dyn FnMut(&[f64]) -> bool) {
     let [low, high] = parameter.range();
     for run in equal_runs(parameter, current) {

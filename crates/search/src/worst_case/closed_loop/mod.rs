@@ -23,7 +23,8 @@ const MIN_DISTANCE_MPS2: f64 = 0.5;
 /// Number of ascents, and steps of each, per cycle.
 const ASCENTS: [[usize; 2]; 2] = [[3, 5], [2, 15]];
 const DECIDING_CYCLES: usize = 2;
-/// Margin at which such a search ends, in metres: the replay at a smaller step may have a smaller one.
+/// Margin at which a search that only decides avoidability ends, in metres. It is not 0, because the replay at a
+/// smaller step may have a smaller margin.
 const DECISIVE_MARGIN_M: f64 = 0.05;
 /// Margins within this distance of the bound are not improved, in metres.
 const NEAR_BOUND_M: f64 = 1e-3;

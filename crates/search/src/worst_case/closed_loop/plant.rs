@@ -48,7 +48,8 @@ pub(super) struct Plant<'s> {
     pub(super) simulations: usize,
 }
 
-/// Maximum time between two samples of a gap, in seconds: the gap's curvature is about a centimetre in between.
+/// Maximum time between two samples of a gap, in seconds. Between them the gap deviates from a straight line by about a
+/// centimetre.
 const MAX_SAMPLE_INTERVAL_S: f64 = 0.1;
 
 impl<'s> Plant<'s> {

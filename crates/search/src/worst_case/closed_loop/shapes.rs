@@ -1,4 +1,5 @@
-//! Speed profiles with few knots, which are speeds, so that a change of one knot keeps the speeds at the others.
+//! Speed profiles with few knots. A knot is a speed, not an acceleration, so that a change of one knot keeps the speeds
+//! at all others.
 
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};

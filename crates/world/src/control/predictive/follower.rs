@@ -7,7 +7,8 @@ use crate::observation::{Neighbour, Observation};
 
 /// Time to collision at which an emergency brake fires, in seconds (the paper's baseline).
 pub(super) const FIRING_TTC_S: f64 = 1.4;
-/// Time to collision below which it is certain to have fired, in seconds: firing less the errors of the estimate.
+/// Estimated time to collision below which the emergency brake has certainly fired, in seconds: lower than
+/// [`FIRING_TTC_S`] by the errors of the estimate.
 const FIRED_TTC_S: f64 = 1.2;
 /// Deceleration that confirms the firing, in m/s².
 const FIRED_BRAKE_MPS2: f64 = 1.5;
@@ -29,11 +30,11 @@ const HYPOTHESES: usize = 3;
 
 /// State of the follower and likelihoods of the hypotheses about its driver.
 ///
-/// Each hypothesis predicts an acceleration a_i from the present observation, and so a change of speed over the last
-/// [`MEMORY_S`]: w' = a_i - w / [`MEMORY_S`]. The observed one is the speed less its average over that time. The
-/// log-likelihood, forgotten over [`MEMORY_S`], gains -(error)²/(2 σ²) each [`CORRELATION_S`]. σ includes the noise of
-/// the estimated speed, which is that of the acceleration divided by the bandwidth of the filter. Speeds discriminate
-/// better than accelerations, whose noise is larger.
+/// Each hypothesis predicts an acceleration a_i from the present observation, and from it the change of speed w over
+/// the last [`MEMORY_S`]: w' = a_i - w / [`MEMORY_S`]. The observed change is the difference between the speed and its
+/// average over that time. Per [`CORRELATION_S`] the log-likelihood changes by -(error)²/(2 σ²), and it decays with
+/// time constant [`MEMORY_S`]. σ includes the noise of the estimated speed, which is that of the acceleration divided
+/// by the bandwidth of the filter. Speeds discriminate better than accelerations, whose noise is larger.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Follower {
     step_s: f64,
@@ -70,8 +71,8 @@ impl Follower {
         }
     }
 
-    /// Adds an observation. `expected_mps2` is the deceleration expected of its emergency brake. Returns true if the
-    /// emergency brake has fired and the follower may still close in.
+    /// Adds an observation. `expected_mps2` is the deceleration that is expected of the emergency brake before it is
+    /// observed. Returns true if the emergency brake has fired and the follower may still close in.
     pub(super) fn observe(&mut self, behind: &Neighbour, seen: &Observation, expected_mps2: f64) -> bool {
         let closing_mps = behind.speed_mps - seen.speed_mps;
         let brakes = behind.acceleration_mps2 < -FIRED_BRAKE_MPS2;
@@ -100,7 +101,8 @@ impl Follower {
         self.fired_for_s.unwrap_or(0.0)
     }
 
-    /// Returns the deceleration of the emergency brake, in m/s², positive: expected, then observed.
+    /// Returns the deceleration of the emergency brake, in m/s², positive: the expected one at first, the observed one
+    /// from [`SETTLING_S`] after the firing.
     pub(super) fn brake_mps2(&self) -> f64 {
         self.brake_mps2
     }

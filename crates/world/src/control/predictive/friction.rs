@@ -10,9 +10,10 @@ const AVERAGING_S: f64 = 0.3;
 const MIN_BRAKE_MPS2: f64 = 2.0;
 /// Speed below which a vehicle may stop within a step, in m/s.
 const MIN_SPEED_MPS: f64 = 0.5;
-/// Standard deviations of the estimate's noise that an averaged shortfall must exceed: two of its own.
+/// Noise that the averaged shortfall must exceed, in standard deviations of the estimated acceleration. Averaging
+/// reduces the noise, so this is about two standard deviations of the average.
 const DEVIATIONS: f64 = 1.4;
-/// Share of the command by which averages may lag.
+/// Share of the command that the averages may fall short because they lag behind.
 const LAGGING_SHARE: f64 = 0.05;
 /// Smallest share of dry-road braking that is believed: ice.
 const MIN_FRICTION: f64 = 0.15;
@@ -26,7 +27,7 @@ pub(super) struct Friction {
     /// Last two commands, the older one first, in m/s².
     commands_mps2: [f64; 2],
     jitter: Jitter,
-    /// Averages of commanded less actual deceleration, and of the actual one, in m/s².
+    /// Average of commanded minus actual deceleration, then average of the actual deceleration, in m/s².
     shortfall_mps2: f64,
     achieved_mps2: f64,
     usable_mps2: f64,

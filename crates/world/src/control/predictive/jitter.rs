@@ -4,7 +4,7 @@
 pub(super) const BANDWIDTH_RAD_PER_S: f64 = 5.0;
 /// Time over which changes are averaged, in seconds.
 const AVERAGING_S: f64 = 1.0;
-/// Variance of the changes before any observation, in (m/s²)²: gap noise of 0.1 m.
+/// Initial variance of the changes, in (m/s²)²: the one that gap noise of 0.1 m causes.
 const FIRST_VARIANCE: f64 = 0.0156;
 
 /// Recursive variance of the changes of an acceleration between steps.

@@ -64,11 +64,13 @@ settings! {
     }
 }
 
-/// Share of the available braking that the leader must require before the ego vehicle brakes by that much.
+/// Share of the available braking. If avoiding the leader requires more than that, the ego vehicle brakes as required;
+/// before that it may brake less.
 const LATEST_BRAKE_SHARE: f64 = 0.97;
 /// Braking harder than this counts as hard ([`crate::measure`]: 4 m/s², less errors of the estimate), in m/s².
 const HARD_BRAKE_MPS2: f64 = 3.8;
-/// Justified deceleration from which hard braking is not unnecessary (3 m/s², plus errors of the estimate), in m/s².
+/// Limit of the justified deceleration, in m/s²: hard braking is unnecessary only below it (3 m/s², plus errors of the
+/// estimate).
 const HARD_BRAKE_CAUSE_MPS2: f64 = 3.5;
 /// Time from the firing of the follower's emergency brake to its deceleration, in seconds.
 const FIRING_DELAY_S: f64 = 0.1;
@@ -185,10 +187,11 @@ impl State {
 
     /// Returns the acceleration that wakes the follower, or `follow_mps2` if that is not needed.
     ///
-    /// The slack is the way from the stopping place of a follower that is woken from now on to that of the leader,
-    /// s = g_a + v_a²/(2 b_a) + g_b - v_b (t + τ) - v_b²/(2 b_b), where t is the time to wake it. Below the wanted
-    /// slack, brake by the gain times what is missing, times the probability that the follower has nothing but an
-    /// emergency brake. The braking ends at the speed difference from which a fired follower can be escaped.
+    /// The slack is the distance from the predicted stopping place of the follower, if the ego vehicle starts to wake
+    /// it now, to that of the leader: s = g_a + v_a²/(2 b_a) + g_b - v_b (t + τ) - v_b²/(2 b_b), where t is the time
+    /// until its emergency brake fires. If the slack is less than wanted, the deceleration is the gain times the
+    /// missing slack, times the probability that the follower has nothing but an emergency brake. Waking ends at the
+    /// speed difference `wake_closing_mps`.
     fn wake(&mut self, outlook: &Outlook, behind: &Neighbour, follow_mps2: f64) -> f64 {
         let all = &self.settings;
         let closing_mps = behind.speed_mps - outlook.own_mps;
@@ -210,7 +213,8 @@ impl State {
         if self.wake_mps2 > MIN_WAKE_MPS2 { follow_mps2.min(-self.wake_mps2) } else { follow_mps2 }
     }
 
-    /// Returns the smallest acceleration that a braking follower tolerates, or less if the room ahead is as short.
+    /// Returns the lowest acceleration that leaves a braking follower enough room. Returns a lower one if the room
+    /// ahead is short as well.
     ///
     /// Room behind: closest gap if the ego vehicle holds its speed, r_b = g_b - Δv τ - Δv²/(2 b_b). Room ahead: closest
     /// gap if it brakes from now on, at standstill or while both move. a = k min(r_a - r_b, r_min - r_b).

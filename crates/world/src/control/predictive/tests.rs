@@ -119,7 +119,7 @@ proptest! {
         }
     }
 
-    /// The waking time satisfies its equation, and waiting at the largest closing speed takes longer.
+    /// The waking time satisfies its equation. With a limit of the closing speed, waking takes at least as long.
     #[test]
     fn the_waking_time_ends_at_the_firing(gap_m in 3.0..80.0f64, brake_mps2 in 1.0..6.0f64, most_mps in 5.0..25.0f64) {
         let free_s = waking_time_s(gap_m, 0.0, brake_mps2, f64::INFINITY);

@@ -183,7 +183,8 @@ impl TimeWindow {
 }
 
 impl Formula {
-    /// Returns the duration of a trace on which no window is clipped, in seconds; infinite for an unbounded window.
+    /// Returns the shortest duration of a trace on which no window is clipped, in seconds; infinite for an unbounded
+    /// window.
     #[must_use]
     pub fn horizon_s(&self) -> f64 {
         let operands_s = self.operands().into_iter().map(Self::horizon_s).fold(0.0, f64::max);

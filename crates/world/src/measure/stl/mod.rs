@@ -32,8 +32,9 @@
 //!
 //! Windows are clipped to the trace. A window after the last sample is empty: `always` over it is satisfied (robustness
 //! +∞), `eventually` and `until` are not (-∞), so that `not always` equals `eventually not` there too. Samples to which
-//! the formula does not refer have no effect: a trace of duration [`Formula::horizon_s`] is not clipped at any nesting.
-//! To reject shorter traces, compare [`Formula::horizon_s`] with [`SampledSignals::duration_s`].
+//! the formula does not refer have no effect. On a trace of duration [`Formula::horizon_s`] no window is clipped,
+//! nested windows included. To reject shorter traces, compare [`Formula::horizon_s`] with
+//! [`SampledSignals::duration_s`].
 
 mod buffer_pool;
 mod formula;

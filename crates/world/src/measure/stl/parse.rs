@@ -149,7 +149,7 @@ struct Parser<'a> {
     tokens: &'a [(usize, Token)],
     next: usize,
     depth: usize,
-    /// Token after the latest unary operator: a parenthesis there adds no depth.
+    /// Index of the token after the latest unary operator. A parenthesis at this index does not increase the depth.
     operand_at: Option<usize>,
 }
 
@@ -278,7 +278,8 @@ impl Parser<'_> {
         self.finish_formula(operand)
     }
 
-    /// Returns the parsed formula. A lone signal before another operand was meant as an operator.
+    /// Returns the parsed formula. If an operand follows a lone signal, as in `globally x > 1`, the signal is reported
+    /// as an unknown operator.
     fn finish_formula(&self, part: ParsedExpr) -> Result<Formula, FormulaParseError> {
         let precedes_operand = match self.peek().1 {
             Token::Name(_) => true,

@@ -34,7 +34,8 @@ impl Extremum for Maximum {
     }
 }
 
-/// Replaces each of the first `outputs` values by the extremum of `width` values from there on, fewer at the end.
+/// Replaces each of the first `outputs` values by the extremum of the `width` values that begin with it, or of all that
+/// are left at the end.
 pub(super) fn sliding_extremum<E: Extremum>(mut values: Vec<f64>, width: usize, outputs: usize) -> Vec<f64> {
     let windows = outputs.min(values.len());
     match (width, windows) {
@@ -63,7 +64,7 @@ fn scan_blocks<E: Extremum>(values: &mut [f64], width: usize) {
             end = E::combine(end, *slot);
             *slot = end;
         }
-        // A window at offset o ends inside the next block and takes its first o values, which still exist.
+        // A window at offset o contains the first o values of the next block, which are not overwritten yet.
         let mut start = E::IDENTITY;
         let mut slots = block.iter_mut().skip(1);
         for (&value, slot) in later.iter().zip(slots.by_ref()) {

@@ -23,7 +23,8 @@ impl DriveStep {
 
 /// Returns the steps of vehicle `index` before its first impact; `None` if there is no such vehicle.
 ///
-/// From an impact on, the motion is not that of the driver. Tracks of unequal length count up to the shortest.
+/// From an impact on, the motion is not that of the driver. If tracks have unequal lengths, the end of the shortest is
+/// the end for all.
 pub(super) fn drive_steps<'a>(
     trace: &'a Trace,
     impacts: &[Impact],

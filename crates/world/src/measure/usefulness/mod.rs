@@ -1,7 +1,7 @@
 //! Usability of a vehicle in traffic: progress, distance, and no unnecessary braking.
 //!
-//! Collisions alone are not enough, because a vehicle that stands still never hits its leader. They evaluate a
-//! controller in critical scenarios, and these measures do so in uncritical ones.
+//! Collisions alone are not enough to evaluate a controller, because a vehicle that stands still never hits its leader.
+//! Collisions are counted in critical scenarios; these measures are evaluated in uncritical ones.
 
 mod amplification;
 mod drive;

@@ -55,9 +55,9 @@ pub const EASY_BRAKE_MPS2: f64 = 3.0;
 /// - the deceleration of the leader, within [`MAX_FOLLOWING_TIME_GAP_S`]: braking like the leader counts as following
 ///   it, even if softer braking to a smaller gap would suffice;
 ///
-/// The justified deceleration is 0 without a leader. The first two are unbounded as the gap closes: they justify any
-/// braking in an emergency, and at too small a gap. UN Regulation 157 likewise uses a reference driver to decide which
-/// collisions were preventable.
+/// The justified deceleration is 0 without a leader. The first two grow without bound as the gap shrinks to 0. They
+/// justify any braking in an emergency, and braking that widens a gap that is too small. UN Regulation 157 likewise
+/// uses a reference driver to decide which collisions were preventable.
 ///
 /// Braking counts only before the first impact and from [`MIN_BRAKING_SPEED_MPS`] on. Source of the model: Treiber,
 /// Hennecke and Helbing, Phys. Rev. E 62, 1805 (2000); thresholds are project-specific.
@@ -95,9 +95,9 @@ impl UnnecessaryBraking {
         drive_steps(trace, impacts, index).map(Self::from_steps)
     }
 
-    /// Measures braking of vehicle `index` above a limit, in m/s², at instants at which no more than the limit was
-    /// justified; `None` if there is no such vehicle. Unlike [`UnnecessaryBraking::from_trace`], it has no margin: 2.1
-    /// m/s² where 1.9 m/s² was justified exceeds a limit of 2 m/s².
+    /// Measures braking of vehicle `index` that is harder than a limit, in m/s², although the justified deceleration
+    /// does not exceed the limit; `None` if there is no such vehicle. Unlike [`UnnecessaryBraking::from_trace`], it has
+    /// no margin: 2.1 m/s² where 1.9 m/s² was justified exceeds a limit of 2 m/s².
     #[must_use]
     pub fn from_trace_above_limit(limit_mps2: f64, trace: &Trace, impacts: &[Impact], index: usize) -> Option<Self> {
         let exceeds_limit = |brake: &BrakeInstant| brake.brake_mps2 > limit_mps2 && brake.justified_mps2 <= limit_mps2;
@@ -122,9 +122,9 @@ impl UnnecessaryBraking {
         self.count == 0
     }
 
-    /// Returns the margin of vehicle `index` to unnecessary braking, in m/s²: the smallest one of the drive, or the
-    /// negative of the largest excess if it brakes unnecessarily; `None` if there is no such vehicle, or it never
-    /// drives at [`MIN_BRAKING_SPEED_MPS`].
+    /// Returns the margin of vehicle `index` to unnecessary braking, in m/s². Without unnecessary braking it is the
+    /// smallest margin of the drive. With unnecessary braking it is negative: minus the largest excess. `None` if there
+    /// is no such vehicle, or it never reaches [`MIN_BRAKING_SPEED_MPS`].
     pub(in crate::measure) fn margin_mps2(trace: &Trace, impacts: &[Impact], index: usize) -> Option<f64> {
         let margin = |brake: BrakeInstant| brake.justified_mps2 + UNNECESSARY_MARGIN_MPS2 - brake.brake_mps2;
         if let Some(hardest) = Self::from_trace(trace, impacts, index)?.hardest {
@@ -282,8 +282,9 @@ mod tests {
     }
 
     proptest! {
-        /// A vehicle that does not brake does not brake unnecessarily. The time is within that spent beyond the margin.
-        /// Finer steps agree, up to a coarse step at each change and brakings of minimal duration.
+        /// A vehicle that does not brake does not brake unnecessarily. The measured time is at most the time for which
+        /// braking exceeds the margin. Finer steps give the same time, up to one coarse step at each change of
+        /// acceleration and a few brakings near the minimum duration.
         #[test]
         fn braking_without_cause_is_braking(
             gap_m in 20.0..90.0f64,

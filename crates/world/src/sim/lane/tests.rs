@@ -53,7 +53,7 @@ fn brake_profile(onset_s: f64, rate_mps2: f64) -> LeadProfile {
 
 #[test]
 fn the_moment_is_that_of_the_closed_form() {
-    // 20 m/s behind 14 m/s: a gap of 50 m is 17 m after 5.5 s, and lasts 2 s, at 6 m/s, when it is 12 m.
+    // 20 m/s behind 14 m/s, gap 50 m. The gap is 17 m after 5.5 s. The TTC is 2 s when the gap is 12 m, after 38 / 6 s.
     let entered = |enters| {
         let line = vec![with_entry(steady_vehicle(52.0, 14.0), enters), steady_vehicle(0.0, 20.0)];
         tracks(&run(&scenario(line, 8.0)))[0].in_lane_s[0]
@@ -152,7 +152,8 @@ proptest! {
     fn the_gap_needed_is_that_of_the_closed_form(
         gap_m in 5.0..60.0_f64, closing_mps in 1.0..15.0_f64, reaction_s in 0.0..1.5_f64, brake_mps2 in 2.0..7.0_f64,
     ) {
-        // A profile that begins inside a step is averaged over it, so it begins with a step; the entry is inside one.
+        // The braking begins at the start of a step, because the acceleration of a profile is averaged over each step.
+        // The entry may be at any time inside a step.
         let (onset_s, enters_s) = (2.5, 2.5 - reaction_s);
         let start_m = gap_m + closing_mps * enters_s;
         let line = vec![

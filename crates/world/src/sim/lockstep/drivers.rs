@@ -30,7 +30,8 @@ macro_rules! define {
 
         impl<'s> Drivers<'s> {
             pub(super) fn new(drivers: Vec<VehicleController<&'s LeadProfile>>) -> Self {
-                /// Returns the sorted drivers if all match the pattern; otherwise evaluates to the unchanged drivers.
+                /// Leaves the function with the drivers as one kind if all match the pattern. Otherwise evaluates to
+                /// the unchanged drivers.
                 macro_rules! unless_all {
                     ($drivers:ident, $pattern:pat => $driver:expr, $all:ident => $sorted:expr) => {
                         match all_of_kind(

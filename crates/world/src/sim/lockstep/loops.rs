@@ -1,8 +1,9 @@
 //! Inner loops over all runs of a block, for one vehicle position at a time.
 //!
-//! They are inlined into code for the vector registers of this machine. Each operation is rounded by itself and no sum
-//! runs over runs, so that the register width does not change the result. All slices of a loop have the same length.
-//! They are arguments, not fields, so that the compiler can assume that inputs and outputs do not alias.
+//! They are inlined into code for the vector registers of this machine. Each operation is rounded separately, and no
+//! sum adds values of different runs. The register width therefore does not change the result. All slices of a loop
+//! have the same length. They are arguments, not fields, so that the compiler can assume that inputs and outputs do not
+//! alias.
 
 use super::per_run::RunSet;
 use crate::control::{Idm, clamp_command};

@@ -16,7 +16,8 @@ pub(super) const CHECKSUM_BYTES: usize = 6;
 pub(super) const RECORD_BYTES: usize = BODY_BYTES + CHECKSUM_BYTES;
 /// Code in place of the braking level without a collision.
 const NO_CONTACT: u8 = u8::MAX;
-/// Code in place of the braking level if a controller failed; the vehicle that is hit is then its own.
+/// Code in place of the braking level if a controller failed. The field of the vehicle that is hit then holds the
+/// vehicle of that controller.
 const CONTROLLER_FAILED: u8 = u8::MAX - 1;
 
 pub(super) enum JournalEntry {
