@@ -77,8 +77,8 @@ pub struct TestParameter {
     pub unit: ParameterUnit,
     /// Origin of the values.
     pub origin: Origin,
-    /// Allowed deviation from a value, both ways, in `unit`. The test has to pass within it; the worst point is
-    /// searched for.
+    /// Allowed deviation from each value, up and down, in `unit`. The test must pass at every value within it. crumple
+    /// searches for the worst one.
     #[serde(default, skip_serializing_if = "is_zero")]
     pub tolerance: f64,
     /// Place in the document, or reason for the choice.
@@ -119,8 +119,8 @@ pub struct TestParameters {
     /// Speed of the vehicle ahead, if it is slower or cuts in.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub lead_speed: Option<TestParameter>,
-    /// Gap divided by the closing speed: at the start behind a standing or slower vehicle, at the entry of a vehicle
-    /// that cuts in, or from a vehicle that cuts out to the standing one when it leaves.
+    /// Gap divided by the closing speed. Behind a standing or slower vehicle it is the value at the start; for a
+    /// cut-in, the value when the vehicle enters; for a cut-out, that of the leaving vehicle towards the standing one.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub closing_time: Option<TestParameter>,
     /// Gap at the start, behind a vehicle that brakes or cuts out. A test has either this or `time_gap`.

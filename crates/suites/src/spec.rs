@@ -101,8 +101,9 @@ pub enum LeadManeuver {
     /// drives a vehicle at the speed of the vehicle under test. The test ends when the vehicle under test no longer
     /// closes in.
     CutIn,
-    /// The vehicle ahead has the speed of the vehicle under test and leaves the lane at the start, the closing time
-    /// before a standing vehicle. The test ends when the vehicle under test stands.
+    /// The vehicle ahead has the speed of the vehicle under test and leaves the lane at the start. Its gap to a
+    /// standing vehicle ahead is then the closing time multiplied by its speed. The test ends when the vehicle under
+    /// test stands.
     CutOut,
 }
 
@@ -111,7 +112,7 @@ pub enum LeadManeuver {
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields, expecting = "a direction: a table of `push` and `to`")]
 pub struct MarginSweep {
-    /// Parameter that is varied, from the value of the grid that is nearest to `to`.
+    /// Parameter that is varied. The first value is the value of the grid nearest to `to`.
     #[serde(rename = "push")]
     pub parameter: ParameterKind,
     /// Last value, in the unit of the parameter; beyond all its values.

@@ -103,7 +103,7 @@ pub struct WithDataUncertainty {
     /// Number of resamples to which no space could be fitted.
     #[serde(rename = "unfit")]
     pub failed_fits: u32,
-    /// Number of runs per resample; `None` with an estimate by splitting in each.
+    /// Number of runs per resample; `None` if the probability in each resample is estimated by splitting.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub runs_each: Option<u32>,
     /// Variance of the number of episodes, relative to the squared estimate.

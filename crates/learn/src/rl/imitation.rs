@@ -30,8 +30,8 @@ use crumple_world::sim::{Run, RunOptions};
 pub struct ImitationConfig {
     /// Built-in controller that is imitated, with settings as on the command line.
     pub expert: String,
-    /// Expert where the follower has nothing but an emergency brake (`baseline`), if it is another one. The policy does
-    /// not observe what drives the follower, and learns the mean of both.
+    /// Expert for scenarios in which the follower has nothing but an emergency brake (`baseline`), if it differs from
+    /// `expert`. The policy does not observe which driver the follower has, so it learns the mean of both experts.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub expert_if_unaware: Option<String>,
     /// Estimator of the expert. With `truth` it knows more than the policy, which learns the mean of its answers.
@@ -53,8 +53,9 @@ pub struct ImitationConfig {
     /// loss. Keeps noise of the observations out of the actions; 0 for none.
     #[serde(default, skip_serializing_if = "is_default", deserialize_with = "deserialize_f32_no_underflow")]
     pub change_weight: f32,
-    /// Weight of hard braking in spaces whose `costs_times` is above 1: of the squared difference by which the policy
-    /// brakes harder than the expert and than [`EASY_BRAKE_MPS2`], relative to the loss; 0 for none.
+    /// Weight of a penalty on hard braking in spaces whose `costs_times` is above 1, relative to the loss; 0 for none.
+    /// The penalty is the squared difference by which the policy brakes harder than both the expert and
+    /// [`EASY_BRAKE_MPS2`].
     #[serde(default, skip_serializing_if = "is_default", deserialize_with = "deserialize_f32_no_underflow")]
     pub hard_brake_weight: f32,
     /// Weight of the mean squared difference in the actor's loss in the first episode of reinforcement learning

@@ -31,9 +31,11 @@ settings! {
     PredictiveSettings {
         /// Desired time headway while following, in seconds (the Intelligent Driver Model's).
         time_headway_s: 1.6, 0.0..=10.0, 0.5..=3.0;
-        /// Distance to the leader that no plan uses, in metres: errors of gap and stopping place.
+        /// Distance to the leader that every plan keeps free, in metres. It covers errors of the gap and of predicted
+        /// stopping places.
         margin_m: 0.4, 0.0..=100.0, 0.0..=5.0;
-        /// Least deceleration of the leader in predictions, in m/s²: it may brake harder later.
+        /// Minimum deceleration of the leader in predictions, in m/s². Predictions assume it even if the leader brakes
+        /// less at present, because it may brake harder later.
         ahead_brake_mps2: 4.0, 0.0..=30.0, 0.0..=9.0;
         /// Deceleration of the follower before it is observed, in m/s²: a laden lorry has 5 to 6.
         behind_brake_mps2: 4.3, 0.1..=30.0, 3.0..=9.0;
@@ -46,9 +48,10 @@ settings! {
         emergency_slack_m: 42.0, 0.0..=1000.0, 0.0..=100.0;
         /// Deceleration per metre of missing slack, in 1/s².
         wake_gain_per_s2: 1.9, 0.0..=100.0, 0.5..=5.0;
-        /// Deceleration by which to wake the follower in predictions, in m/s².
+        /// Deceleration with which the ego vehicle wakes the follower in predictions, in m/s².
         wake_brake_mps2: 6.7, 0.1..=30.0, 1.5..=9.0;
-        /// Speed difference at which waking ends, in m/s; times √µ. From a larger one no vehicle escapes.
+        /// Speed difference to the follower at which waking ends, in m/s, on a dry road; it is multiplied by √µ. At a
+        /// larger one, a collision with the follower can no longer be avoided.
         wake_closing_mps: 18.6, 0.1..=100.0, 10.0..=30.0;
         /// Time constant of waking in everyday traffic, in seconds: comfort.
         wake_lag_s: 0.4, 0.01..=10.0, 0.05..=1.2;
