@@ -25,7 +25,9 @@ impl RoundContext<'_> {
     }
 
     fn scenario_source(&self, cases: &Cases) -> Result<Arc<dyn ScenarioSource>, RetrainError> {
-        let RetrainingPlan { spaces, settings, training, .. } = self.plan;
+        let RetrainingPlan { spaces, settings, .. } = self.plan;
+        // Not those of the preset: an imitation has other costs.
+        let training = self.plan.training_until(0);
         let cases = cases.scenarios(spaces)?;
         let with_cases = |base| CaseMixture::new(cases, settings.case_share, base);
         if !training.spaces.is_empty() {
