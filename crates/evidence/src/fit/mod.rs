@@ -8,6 +8,7 @@
 mod base;
 mod dependence;
 mod episodes;
+mod exclusions;
 mod error;
 mod family;
 mod fitted_space;
@@ -20,7 +21,8 @@ mod space;
 #[cfg(test)]
 mod tests;
 
-pub use episodes::{EpisodeFeature, EpisodeSample, ExclusionCounts, ExtractionConfig, MAX_VEHICLES};
+pub use exclusions::ExclusionCounts;
+pub use episodes::{EpisodeCollector, EpisodeFeature, EpisodeSample, ExtractionConfig, MAX_VEHICLES};
 pub use error::FitError;
 pub use family::{DistributionFamily, FamilyFit, FamilyFitError};
 pub use fitted_space::{FittedFeature, FittedSize, FittedSpace, fit};

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::dropped::{DroppedItem, Omission};
+use super::dropped::{DroppedItem, Omission, format_fixed};
 use super::error::{ColumnProblem, LineProblem, RecordingError};
 use super::map::{TimeSpec, TimeUnit};
 use super::table::RowReader;
@@ -38,7 +38,8 @@ pub struct ColumnContradiction {
 impl fmt::Display for ColumnContradiction {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Self { columns: [first, second], rates_mps: [first_mps, second_mps], reason } = self;
-        write!(out, "{first} is {first_mps:.1} m/s here, but {second} is {second_mps:.1} m/s")?;
+        let [first_mps, second_mps] = [first_mps, second_mps].map(|mps| format_fixed(*mps, 1));
+        write!(out, "{first} is {first_mps} m/s here, but {second} is {second_mps} m/s")?;
         match reason {
             Some(reason) => write!(out, ": {reason}"),
             None => out.write_str(", and no other unit or sign explains this"),
@@ -191,7 +192,7 @@ impl Comparison {
             let explains = |(one, &error): (&'_ Hypothesis, &f64)| (error <= best + 0.03).then(|| one.reason.clone());
             Some(hypotheses.iter().zip(&relative).filter_map(explains).collect::<Vec<_>>().join(", or "))
         } else if median(&|window| (difference(window, GIVEN) - offset_mps).abs()) <= EXPLAINED_SHARE * given_mps {
-            Some(format!("this looks like an offset of {offset_mps:.1} m/s"))
+            Some(format!("this looks like an offset of {} m/s", format_fixed(offset_mps, 1)))
         } else if given_mps > MIN_UNEXPLAINED_MPS.max(MIN_UNEXPLAINED * scale_mps) {
             None
         } else {

@@ -28,25 +28,31 @@ mod number;
 mod pairs;
 #[cfg(feature = "parquet")]
 mod parquet_rows;
+mod parts;
+#[cfg(test)]
+mod parts_tests;
 mod platoons;
 mod preview;
 pub mod replay;
 mod series;
 #[cfg(feature = "mdf")]
 mod signal_rows;
+mod spill;
 mod table;
 mod target_switches;
 #[cfg(test)]
 mod tests;
 mod text;
+mod text_rows;
 #[cfg(test)]
 mod text_tests;
 mod tracks;
 mod traffic;
 
-use std::fs::File;
 use std::io::{Cursor, Read};
+use std::ops::Range;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 pub use consistency::ColumnContradiction;
 pub use dropped::{DroppedItem, EpisodeProblem, Omission};
@@ -59,7 +65,8 @@ pub use lead_vehicles::VehicleAhead;
 
 use lead_vehicles::{LeadVehicle, PlatoonLead};
 use map::{LayoutSpec, RecordingMap, RecordingMapSpec};
-pub use preview::{HardestBraking, HardestBrakingResult, Preview, SpeedLine, hardest_braking, preview};
+pub use parts::{PartSink, merge_dropped};
+pub use preview::{HardestBraking, HardestBrakingResult, HardestSearch, Preview, SpeedLine, hardest_braking, preview};
 use table::{CsvRow, RowReader};
 pub use text::TextFormat;
 pub use tracks::RecordedTraffic;
@@ -126,6 +133,8 @@ pub struct RecordedPlatoon {
     /// Vehicles, front to rear.
     pub vehicles: Vec<RecordedVehicle>,
     gaps_m: Vec<Vec<Option<f64>>>,
+    /// Times at which braking belongs to this part of the recording.
+    core_ms: Range<i64>,
 }
 
 impl RecordedPlatoon {
@@ -160,22 +169,68 @@ impl RecordedVehicle {
     }
 }
 
+/// Receives the number of bytes of a file that were read, and their total.
+pub type ReadProgress = Arc<dyn Fn(u64, u64) + Send + Sync>;
+
 /// Reads a recording file with any extension: text, or Parquet or MDF 4 if the build has the features `parquet` and
 /// `mdf`. The columns are those of `map`, or of the built-in map that matches the first line.
 ///
 /// # Errors
 /// [`RecordingError`] for a file that cannot be read, is of neither built-in format, lacks a column of its map, is
 /// truncated, or holds a field that is not a number. Missing and impossible values are no errors: they are in
-/// [`Recording::dropped`].
+/// [`Recording::dropped`]. A file of several parts is an error, see [`load_parts`].
 pub fn load(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
+    only_part(path, |each| load_parts(path, map, None, each))
+}
+
+/// Reads the first part of a recording file, as [`load_parts`].
+///
+/// # Errors
+/// Those of [`load`].
+pub fn load_first_part(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
+    let mut first = None;
+    load_parts(path, map, None, &mut |part| {
+        first = Some(part);
+        Ok(false)
+    })?;
+    first.ok_or_else(|| RecordingError::Empty { path: path.to_owned() })
+}
+
+/// Reads a recording file in parts, so that memory stays bounded: a part has about 500 000 rows, and overlaps the next
+/// by a minute. Braking at each time belongs to one part. Omissions in rows are in the last part, or the first one of
+/// traffic; see [`merge_dropped`].
+///
+/// # Errors
+/// Those of [`load`], except for the number of parts, and of `each`.
+pub fn load_parts(
+    path: &Path,
+    map: Option<&RecordingMap>,
+    progress: Option<&ReadProgress>,
+    each: &mut PartSink<'_>,
+) -> Result<(), RecordingError> {
     let error = |source| RecordingError::Read { path: path.to_owned(), source };
-    let mut file = File::open(path).map_err(error)?;
+    let mut file = binary::Source::open(path, progress).map_err(error)?;
     let mut start = Vec::new();
     file.by_ref().take(binary::START_BYTES).read_to_end(&mut start).map_err(error)?;
-    match binary::BinaryFormat::detect(&start) {
-        Some(format) => read_rows(binary::open(format, file, path, map.map(RecordingMap::spec))?, path, map),
-        None => read(Cursor::new(start).chain(file), path, map),
-    }
+    let spec = map.map(RecordingMap::spec);
+    let table = match binary::BinaryFormat::detect(&start) {
+        Some(format) => binary::open(format, binary::Input::File(file), path, spec)?,
+        None => RowReader::new(Cursor::new(start).chain(file), path, spec)?,
+    };
+    read_rows(table, path, map, each)
+}
+
+/// Returns the only part of a recording.
+fn only_part(
+    path: &Path,
+    read: impl FnOnce(&mut PartSink<'_>) -> Result<(), RecordingError>,
+) -> Result<Recording, RecordingError> {
+    let mut only = None;
+    read(&mut |part| match only.replace(part) {
+        None => Ok(true),
+        Some(_) => Err(RecordingError::TooLong { path: path.to_owned() }),
+    })?;
+    only.ok_or_else(|| RecordingError::Empty { path: path.to_owned() })
 }
 
 /// Reads the bytes of a recording file; `path` only names it.
@@ -186,7 +241,8 @@ pub fn read_bytes(bytes: &[u8], path: &Path, map: Option<&RecordingMap>) -> Resu
     match binary::BinaryFormat::detect(bytes) {
         Some(format) => {
             let bytes = binary::Input::Bytes(bytes.to_vec());
-            read_rows(binary::open(format, bytes, path, map.map(RecordingMap::spec))?, path, map)
+            let table = binary::open(format, bytes, path, map.map(RecordingMap::spec))?;
+            only_part(path, |each| read_rows(table, path, map, each))
         }
         None => read(bytes, path, map),
     }
@@ -194,17 +250,22 @@ pub fn read_bytes(bytes: &[u8], path: &Path, map: Option<&RecordingMap>) -> Resu
 
 /// Reads a text recording from a stream; `path` only names it.
 ///
-/// Memory is bounded: the function fails for lines above a mebibyte, and for more than 5 million rows, 20 million
-/// speeds and gaps, 200 vehicles of a platoon or 100 000 events. Ignores a byte order mark and carriage returns before
-/// line feeds.
+/// Fails for lines above a mebibyte, 200 vehicles of a platoon or a million events. Ignores a byte order mark and
+/// carriage returns before line feeds.
 ///
 /// # Errors
 /// As [`load`].
 pub fn read(from: impl Read, path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
-    read_rows(RowReader::new(from, path, map.map(RecordingMap::spec))?, path, map)
+    let table = RowReader::new(from, path, map.map(RecordingMap::spec))?;
+    only_part(path, |each| read_rows(table, path, map, each))
 }
 
-fn read_rows(mut table: RowReader<'_>, path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
+fn read_rows(
+    mut table: RowReader<'_>,
+    path: &Path,
+    map: Option<&RecordingMap>,
+    each: &mut PartSink<'_>,
+) -> Result<(), RecordingError> {
     let Some(first) = table.next_header()? else {
         return Err(RecordingError::Empty { path: path.to_owned() });
     };
@@ -228,14 +289,15 @@ fn read_rows(mut table: RowReader<'_>, path: &Path, map: Option<&RecordingMap>) 
             }
         }
     };
-    read_with_map(&mut table, map.spec(), first)
+    read_with_map(&mut table, map.spec(), first, each)
 }
 
 fn read_with_map(
     table: &mut RowReader<'_>,
     map: &RecordingMapSpec,
     first: CsvRow<'_>,
-) -> Result<Recording, RecordingError> {
+    each: &mut PartSink<'_>,
+) -> Result<(), RecordingError> {
     let (mut lines, mut names) = (Vec::new(), first);
     while lines.len() < map.lines_before_names {
         lines.push(names.fields);
@@ -248,8 +310,8 @@ fn read_with_map(
         names = next;
     }
     match &map.layout {
-        LayoutSpec::Platoon(platoon) => platoons::read(table, (map, platoon), &lines, &names),
-        LayoutSpec::Pairs(pairs) => pairs::read(table, (map, pairs), &names),
-        LayoutSpec::Tracks(tracks) => traffic::read(table, (map, tracks), &names),
+        LayoutSpec::Platoon(platoon) => platoons::read(table, (map, platoon), &lines, &names, each),
+        LayoutSpec::Pairs(pairs) => pairs::read(table, (map, pairs), &names, each),
+        LayoutSpec::Tracks(tracks) => traffic::read(table, (map, tracks), &names, each),
     }
 }

@@ -4,84 +4,81 @@
 //! or is checked against both.
 
 use std::collections::HashMap;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::ops::Range;
 use std::{iter, mem};
 
 use super::consistency::{Comparison, Hypothesis};
 use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, RecordingError};
 use super::map::{LengthUnit, PairsSpec, RecordingMapSpec, Sign, SpeedSpec, SpeedUnit};
+use super::parts::{PART_ROWS, PartBounds, PartSink};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
-use super::table::{CsvColumn, CsvRow, RowLimiter, RowReader, excerpt};
+use super::table::{CsvColumn, CsvRow, RowCounter, RowReader, excerpt};
 use super::target_switches::PairSamples;
 use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat, TextFormat};
-use crumple_core::digest::sha256;
 
 /// Largest contradiction of the three speeds due to rounding and filtering, in m/s.
 const SPEED_TOLERANCE_MPS: f64 = 0.1;
-/// Maximum number of events of a file. Each takes about a kilobyte beside its samples.
-const MAX_EVENTS: usize = 100_000;
+/// Maximum number of events of a file. Each takes about 50 bytes beside its samples.
+const MAX_EVENTS: usize = 1_000_000;
 
 /// Reads the rows after the column names.
 pub(super) fn read(
     table: &mut RowReader<'_>,
     (map, pairs): (&RecordingMapSpec, &PairsSpec),
     names: &CsvRow<'_>,
-) -> Result<Recording, RecordingError> {
+    each: &mut PartSink<'_>,
+) -> Result<(), RecordingError> {
     let mut events = EventReader::new((map, pairs), names)?;
-    let mut extent = RowLimiter::new(&names.fields, 3);
+    let mut counter = RowCounter::new(&names.fields);
     while let Some(row) = table.next_row()? {
-        extent.check_row(row)?;
+        counter.check_row(row)?;
         events.read_row(row)?;
+        if events.finished_rows > PART_ROWS {
+            let part = events.part(table, Vec::new())?;
+            if !each(part)? {
+                return Ok(());
+            }
+        }
     }
-    if extent.rows == 0 {
-        return table.reject_cut_short("its first sample");
-    }
-    let text = TextFormat { time: events.clock.detected(), ..table.format() };
-    let (path, format) = (table.path().to_owned(), RecordingFormat::from_map(map));
-    events.finish_event();
     let mut dropped = Vec::new();
+    table.check_samples(counter.rows, &mut dropped)?;
+    events.finish_event();
     let speeds = [&events.follower, &events.relative, &events.leader].into_iter().flatten();
     for series in iter::once(&events.gap).chain(speeds) {
-        series.report(&path, extent.rows, &mut dropped);
+        series.report(table.path(), counter.rows, &mut dropped);
     }
-    let columns = ["spacings", "the follower's speed", "the leader's speed"];
-    for (column, (line, count)) in
-        columns.into_iter().zip(events.interpolated).filter_map(|(name, one)| Some((name, one?)))
-    {
-        let what = Omission::Interpolated { column: column.to_owned(), count };
-        dropped.push(DroppedItem { path: path.clone(), line, omission: what });
-    }
-    events.check(table, &mut dropped)?;
-    events.clock.report(&mut dropped);
-    let switches = events.switches.take();
-    dropped.extend(switches.map(|(line, omission)| DroppedItem { path: path.clone(), line, omission }));
+    let mut last = events.part(table, dropped)?;
+    events.clock.report(&mut last.dropped);
     if let Some((mut first, rows)) = events.contradictions {
         if let Omission::SpeedsContradict { count, .. } = &mut first.omission {
             *count = rows;
         }
-        dropped.push(first);
+        last.dropped.push(first);
     }
-    Ok(Recording { path, format, text, platoons: events.platoons, traffic: None, dropped })
+    each(last)?;
+    Ok(())
 }
 
 /// Finished events, and the current one.
 struct EventReader<'m> {
     spec: (&'m RecordingMapSpec, &'m PairsSpec),
     platoons: Vec<RecordedPlatoon>,
+    /// Number of rows of these platoons.
+    finished_rows: usize,
+    bounds: PartBounds,
     /// Column of the event. `event` holds the full text, since names may differ in the last character.
     column: Option<CsvColumn>,
     event: Option<String>,
     /// Last time and line of each finished event, by the hash of its name, which may be long.
-    finished: HashMap<String, (f64, u64)>,
+    finished: HashMap<u64, (f64, u64)>,
     clock: Clock,
-    time_s: Vec<f64>,
-    line: Vec<u64>,
+    samples: PairSamples,
     gap: Series,
     follower: Option<Series>,
     relative: Option<Series>,
     leader: Option<Series>,
-    followers_mps: Vec<Option<f64>>,
-    leaders_mps: Vec<Option<f64>>,
     contradictions: Option<(DroppedItem, usize)>,
     /// Changes of the gap against closing speeds, and closing speeds against both speeds.
     gap_change: Comparison,
@@ -106,18 +103,17 @@ impl<'m> EventReader<'m> {
         Ok(Self {
             spec,
             platoons: Vec::new(),
+            finished_rows: 0,
+            bounds: PartBounds::new(3),
             column: pairs.event.as_ref().map(|name| CsvColumn::find(names, name, 1.0)).transpose()?,
             event: None,
             finished: HashMap::new(),
             clock: Clock::find(names, &map.time)?,
-            time_s: Vec::new(),
-            line: Vec::new(),
+            samples: PairSamples::default(),
             gap: series(&pairs.spacing.column, pairs.spacing.unit.factor(), ColumnQuantity::Gap)?,
             follower: speed(&pairs.follower_speed)?,
             relative: relative.transpose()?,
             leader: speed(&pairs.leader_speed)?,
-            followers_mps: Vec::new(),
-            leaders_mps: Vec::new(),
             contradictions: None,
             gap_change: Comparison::default(),
             closing: Comparison::default(),
@@ -135,13 +131,16 @@ impl<'m> EventReader<'m> {
         }
         if self.event.as_deref() != Some(event) {
             self.finish_event();
-            if self.platoons.len() >= MAX_EVENTS {
+            if self.finished.len() >= MAX_EVENTS {
                 return row.reject_too_large(MAX_EVENTS, "events");
             }
             self.check_not_interleaved(row, event)?;
             self.event = Some(event.to_owned());
         }
         let Some(now_s) = self.clock.tick(row)? else { return Ok(()) };
+        if self.bounds.ends_before((now_s * 1000.0).round() as i64) {
+            self.end_part();
+        }
         let gap_m = self.gap.read_minus(row, self.spec.1.length_m.unwrap_or(0.0))?;
         let read = |series: &mut Option<Series>| series.as_mut().map_or(Ok(None), |series| series.read(row));
         let speeds = (read(&mut self.follower)?, read(&mut self.relative)?, read(&mut self.leader)?);
@@ -154,18 +153,18 @@ impl<'m> EventReader<'m> {
         if let (Some(follower), Some(relative), Some(leader)) = speeds {
             self.closing.add_instant(row.line, [relative, leader, -follower]);
         }
-        self.time_s.push(now_s);
-        self.line.push(row.line);
-        self.gap.values.push(gap_m);
-        self.followers_mps.push(follower_mps);
-        self.leaders_mps.push(leader_mps);
+        self.samples.time_s.push(now_s);
+        self.samples.line.push(row.line);
+        self.samples.gaps_m.push(gap_m);
+        self.samples.followers_mps.push(follower_mps);
+        self.samples.leaders_mps.push(leader_mps);
         Ok(())
     }
 
     /// Rejects a row that continues an event after rows of others. A row that begins before the end of the earlier
     /// event starts another event of that name.
     fn check_not_interleaved(&mut self, row: &CsvRow<'_>, event: &str) -> Result<(), RecordingError> {
-        let (Some(column), Some(&(last_s, last_line))) = (&self.column, self.finished.get(&sha256(event))) else {
+        let (Some(column), Some(&(last_s, last_line))) = (&self.column, self.finished.get(&hash_of(event))) else {
             return Ok(());
         };
         match self.clock.read(row)? > last_s {
@@ -207,28 +206,61 @@ impl<'m> EventReader<'m> {
         self.clock.restart();
         self.gap_change.restart();
         let Some(event) = self.event.take() else { return };
-        let (time_s, line) = (mem::take(&mut self.time_s), mem::take(&mut self.line));
-        if let (Some(&last_s), Some(&last_line)) = (time_s.last(), line.last()) {
-            self.finished.insert(sha256(&event), (last_s, last_line));
+        let samples = mem::take(&mut self.samples);
+        if let (Some(&last_s), Some(&last_line)) = (samples.time_s.last(), samples.line.last()) {
+            self.finished.insert(hash_of(&event), (last_s, last_line));
         }
-        let lists = [&mut self.gap.values, &mut self.followers_mps, &mut self.leaders_mps];
-        let [gaps_m, followers_mps, leaders_mps] = lists.map(mem::take);
-        let mut lists = [gaps_m, followers_mps, leaders_mps];
-        for (values, interpolated) in lists.iter_mut().zip(&mut self.interpolated) {
-            if let Some((count, first)) = interpolate_holes(values, &time_s, self.spec.0.interpolate_s) {
+        let (core_ms, _) = mem::replace(&mut self.bounds, PartBounds::new(3)).next();
+        self.add_platoons(&event, core_ms, samples);
+    }
+
+    /// Converts the first part of a long event to a platoon, and keeps its end for the next part.
+    fn end_part(&mut self) {
+        let (core_ms, next_ms) = self.bounds.next();
+        let end = self.samples.time_s.partition_point(|time_s| time_s * 1000.0 < next_ms as f64);
+        let part = mem::take(&mut self.samples);
+        self.samples = part.clone().split_off(end);
+        let event = self.event.clone().unwrap_or_default();
+        self.add_platoons(&event, core_ms, part);
+    }
+
+    fn add_platoons(&mut self, event: &str, core_ms: Range<i64>, mut samples: PairSamples) {
+        self.finished_rows += samples.time_s.len();
+        let PairSamples { time_s, line, gaps_m, followers_mps, leaders_mps } = &mut samples;
+        for (values, interpolated) in [gaps_m, followers_mps, leaders_mps].into_iter().zip(&mut self.interpolated) {
+            if let Some((count, first)) = interpolate_holes(values, time_s, self.spec.0.interpolate_s) {
                 interpolated.get_or_insert((line.get(first).copied().unwrap_or(0), 0)).1 += count;
             }
         }
-        let [gaps_m, followers_mps, leaders_mps] = lists;
-        let event = self.column.is_some().then(|| excerpt(&event));
-        let whole = PairSamples { time_s, line, gaps_m, followers_mps, leaders_mps };
-        for PairSamples { time_s, line, gaps_m, followers_mps, leaders_mps } in whole.split(&mut self.switches) {
+        let event = self.column.is_some().then(|| excerpt(event));
+        for PairSamples { time_s, line, gaps_m, followers_mps, leaders_mps } in samples.split(&mut self.switches) {
             let vehicle =
                 |number, role: &str, speed_mps| RecordedVehicle { number, name: Some(role.to_owned()), speed_mps };
             let vehicles = vec![vehicle(1, "leader", leaders_mps), vehicle(2, "follower", followers_mps)];
-            let event = event.clone();
-            self.platoons.push(RecordedPlatoon { event, time_s, line, vehicles, gaps_m: vec![gaps_m] });
+            let (event, core_ms) = (event.clone(), core_ms.clone());
+            self.platoons.push(RecordedPlatoon { event, time_s, line, vehicles, gaps_m: vec![gaps_m], core_ms });
         }
+    }
+
+    /// Converts the finished platoons to a part of the recording.
+    fn part(&mut self, table: &RowReader<'_>, mut dropped: Vec<DroppedItem>) -> Result<Recording, RecordingError> {
+        let item = |line, omission| DroppedItem { path: table.path().to_owned(), line, omission };
+        let columns = ["spacings", "the follower's speed", "the leader's speed"];
+        for (column, found) in columns.into_iter().zip(mem::take(&mut self.interpolated)) {
+            let omission = |count| Omission::Interpolated { column: column.to_owned(), count };
+            dropped.extend(found.map(|(line, count)| item(line, omission(count))));
+        }
+        self.check(table, &mut dropped)?;
+        (self.gap_change, self.closing, self.finished_rows) = (Comparison::default(), Comparison::default(), 0);
+        dropped.extend(self.switches.take().map(|(line, omission)| item(line, omission)));
+        Ok(Recording {
+            path: table.path().to_owned(),
+            format: RecordingFormat::from_map(self.spec.0),
+            text: TextFormat { time: self.clock.detected(), ..table.format() },
+            platoons: mem::take(&mut self.platoons),
+            traffic: None,
+            dropped,
+        })
     }
 
     /// Compares the closing speed with both speeds, and the gap with the closing speed.
@@ -268,4 +300,10 @@ impl<'m> EventReader<'m> {
         self.gap_change.check(table, stated, [&change, stated], (&hypotheses, dropped))?;
         Ok(())
     }
+}
+
+fn hash_of(event: &str) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    event.hash(&mut hasher);
+    hasher.finish()
 }

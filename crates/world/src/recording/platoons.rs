@@ -10,15 +10,17 @@
 //! follows the distance of their antennas). The platoon is split at such holes.
 
 use std::collections::BTreeMap;
-
-use csv::StringRecord;
+use std::mem;
+use std::ops::Range;
 
 use super::consistency::{Comparison, Hypothesis};
 use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, RecordingError};
 use super::map::{LengthUnit, PlatoonSpec, RecordingMapSpec, SpeedUnit};
+use super::parts::{PartBounds, PartSink};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
-use super::table::{CsvColumn, CsvRow, RowLimiter, RowReader, excerpt};
+use super::table::{CsvColumn, CsvRow, RowCounter, RowReader, excerpt};
+use super::text_rows::Fields;
 use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat, TextFormat};
 
 /// Maximum number of vehicles of a platoon: ten times that of any published recording.
@@ -28,94 +30,154 @@ const MAX_VEHICLES: usize = 200;
 pub(super) fn read(
     table: &mut RowReader<'_>,
     (map, platoon): (&RecordingMapSpec, &PlatoonSpec),
-    lines: &[StringRecord],
+    lines: &[Fields],
     names: &CsvRow<'_>,
-) -> Result<Recording, RecordingError> {
+    each: &mut PartSink<'_>,
+) -> Result<(), RecordingError> {
     let mut header = PlatoonHeader::default();
     lines.iter().for_each(|fields| header.read_line(platoon, fields));
     let layout = PlatoonColumns::from_names((map, platoon), names)?;
     let mut dropped = Vec::new();
     let lines_of_vehicles = layout.split(names, &header, &mut dropped)?;
 
-    let mut clock = layout.time;
-    let mut extent = RowLimiter::new(&names.fields, 2 * layout.speeds.len());
     let series = |column: &CsvColumn, quantity| Series::new(column.clone(), quantity);
-    let mut speeds: BTreeMap<_, _> =
-        layout.speeds.iter().map(|(&number, column)| (number, series(column, ColumnQuantity::Speed))).collect();
-    let mut gaps: BTreeMap<_, _> =
-        layout.gaps.iter().map(|(&number, column)| (number, series(column, ColumnQuantity::Gap))).collect();
-    let (mut time_s, mut line) = (Vec::new(), Vec::new());
+    let speed_series = |(&number, column)| (number, series(column, ColumnQuantity::Speed));
+    let gap_series = |(&number, column)| (number, series(column, ColumnQuantity::Gap));
+    let mut samples = PlatoonSamples {
+        map,
+        platoon,
+        header,
+        speeds: layout.speeds.iter().map(speed_series).collect(),
+        gaps: layout.gaps.iter().map(gap_series).collect(),
+        time_s: Vec::new(),
+        line: Vec::new(),
+    };
+    let (mut clock, speeds) = (layout.time, &layout.speeds);
+    let mut counter = RowCounter::new(&names.fields);
+    let mut bounds = PartBounds::new(2 * speeds.len());
     while let Some(row) = table.next_row()? {
-        extent.check_row(row)?;
+        counter.check_row(row)?;
         let Some(now_s) = clock.tick(row)? else { continue };
-        time_s.push(now_s);
-        line.push(row.line);
-        for series in speeds.values_mut() {
+        if bounds.ends_before((now_s * 1000.0).round() as i64) {
+            let (core_ms, next_ms) = bounds.next();
+            let text = TextFormat { time: clock.detected(), ..table.format() };
+            let time = clock.column.factor;
+            let part = samples.part(table, (&lines_of_vehicles, speeds), (core_ms, time, text), mem::take(&mut dropped))?;
+            if !each(part)? {
+                return Ok(());
+            }
+            samples.forget_before(next_ms as f64 / 1000.0);
+        }
+        let row = table.row();
+        samples.time_s.push(now_s);
+        samples.line.push(row.line);
+        for series in samples.speeds.values_mut() {
             let value = series.read(row)?;
             series.values.push(value);
         }
-        for series in gaps.values_mut() {
+        for series in samples.gaps.values_mut() {
             let value = series.read_minus(row, platoon.length_m.unwrap_or(0.0))?;
             series.values.push(value);
         }
     }
-    if extent.rows == 0 {
-        return table.reject_cut_short("its first sample");
-    }
+    table.check_samples(counter.rows, &mut dropped)?;
     let text = TextFormat { time: clock.detected(), ..table.format() };
     let time_factor = clock.column.factor;
     clock.report(&mut dropped);
-    for series in speeds.values().chain(gaps.values()) {
-        series.report(table.path(), extent.rows, &mut dropped);
+    for series in samples.speeds.values().chain(samples.gaps.values()) {
+        series.report(table.path(), counter.rows, &mut dropped);
+    }
+    let core_ms = bounds.next().0;
+    each(samples.part(table, (&lines_of_vehicles, speeds), (core_ms, time_factor, text), dropped)?)?;
+    Ok(())
+}
+
+/// Samples of the current part.
+struct PlatoonSamples<'m> {
+    map: &'m RecordingMapSpec,
+    platoon: &'m PlatoonSpec,
+    header: PlatoonHeader,
+    speeds: BTreeMap<usize, Series>,
+    gaps: BTreeMap<usize, Series>,
+    time_s: Vec<f64>,
+    line: Vec<u64>,
+}
+
+impl PlatoonSamples<'_> {
+    fn forget_before(&mut self, time_s: f64) {
+        let count = self.time_s.partition_point(|known_s| *known_s < time_s);
+        self.time_s.drain(..count);
+        self.line.drain(..count);
+        let series = self.speeds.values_mut().chain(self.gaps.values_mut());
+        series.for_each(|series| drop(series.values.drain(..count)));
     }
 
-    let mut comparison = Comparison::default();
-    for (ahead, gap) in &gaps {
-        let (Some(leader), Some(follower)) = (speeds.get(ahead), speeds.get(&(ahead + 1))) else { continue };
-        comparison.restart();
-        let samples = time_s.iter().zip(&line).zip(&gap.values).zip(leader.values.iter().zip(&follower.values));
-        for (((&at_s, &line), &gap_m), (leader, follower)) in samples {
-            let rates_mps = leader.zip(*follower).map(|(leader, follower)| [leader, -follower]);
-            comparison.add((at_s, line), gap_m, rates_mps);
+    /// Converts the samples to platoons.
+    fn part(
+        &self,
+        table: &RowReader<'_>,
+        (lines_of_vehicles, recorded): (&[Vec<usize>], &BTreeMap<usize, CsvColumn>),
+        (core_ms, time_factor, text): (Range<i64>, f64, TextFormat),
+        mut dropped: Vec<DroppedItem>,
+    ) -> Result<Recording, RecordingError> {
+        let Self { map, platoon, header, speeds, gaps, time_s, line } = self;
+        let mut comparison = Comparison::default();
+        for (ahead, gap) in gaps {
+            let (Some(leader), Some(follower)) = (speeds.get(ahead), speeds.get(&(ahead + 1))) else { continue };
+            comparison.restart();
+            let samples = time_s.iter().zip(line).zip(&gap.values).zip(leader.values.iter().zip(&follower.values));
+            for (((&at_s, &line), &gap_m), (leader, follower)) in samples {
+                let rates_mps = leader.zip(*follower).map(|(leader, follower)| [leader, -follower]);
+                comparison.add((at_s, line), gap_m, rates_mps);
+            }
         }
-    }
-    let (speed, spacing) = (&platoon.speed, &platoon.spacing);
-    let hypotheses: Vec<_> =
-        Hypothesis::units(&speed.column, (SpeedUnit::ALL, speed.unit.factor()), [false, true, true])
-            .chain(Hypothesis::units(&spacing.column, (LengthUnit::ALL, spacing.unit.factor()), [true, false, false]))
-            .chain(Hypothesis::times(&map.time, time_factor))
-            .collect();
-    let columns = [format!("the change of {}", spacing.column), format!("the difference of {}", speed.column)];
-    comparison.check(table, &speed.column, [&columns[0], &columns[1]], (&hypotheses, &mut dropped))?;
+        let (speed, spacing) = (&platoon.speed, &platoon.spacing);
+        let hypotheses: Vec<_> =
+            Hypothesis::units(&speed.column, (SpeedUnit::ALL, speed.unit.factor()), [false, true, true])
+                .chain(Hypothesis::units(
+                    &spacing.column,
+                    (LengthUnit::ALL, spacing.unit.factor()),
+                    [true, false, false],
+                ))
+                .chain(Hypothesis::times(&map.time, time_factor))
+                .collect();
+        let columns = [format!("the change of {}", spacing.column), format!("the difference of {}", speed.column)];
+        comparison.check(table, &speed.column, [&columns[0], &columns[1]], (&hypotheses, &mut dropped))?;
 
-    for series in speeds.values_mut().chain(gaps.values_mut()) {
-        if let Some((count, first)) = interpolate_holes(&mut series.values, &time_s, map.interpolate_s) {
-            let (path, column) = (table.path().to_owned(), series.column.name.clone());
-            let line = line.get(first).copied().unwrap_or(0);
-            dropped.push(DroppedItem { path, line, omission: Omission::Interpolated { column, count } });
-        }
-    }
-
-    let values_of = |series: Option<Series>| series.map(|series| series.values).unwrap_or_default();
-    let mut platoons = Vec::new();
-    for numbers in lines_of_vehicles {
-        let gaps_m = numbers.iter().rev().skip(1).rev().map(|number| values_of(gaps.remove(number))).collect();
-        let vehicle = |&number: &usize| RecordedVehicle {
-            number,
-            name: header.name_of(number, &layout.speeds),
-            speed_mps: values_of(speeds.remove(&number)),
+        let mut filled = |series: &Series| {
+            let mut values = series.values.clone();
+            if let Some((count, first)) = interpolate_holes(&mut values, time_s, map.interpolate_s) {
+                let (path, column) = (table.path().to_owned(), series.column.name.clone());
+                let line = line.get(first).copied().unwrap_or(0);
+                dropped.push(DroppedItem { path, line, omission: Omission::Interpolated { column, count } });
+            }
+            values
         };
-        let vehicles = numbers.iter().map(vehicle).collect();
-        platoons.push(RecordedPlatoon { event: None, time_s: time_s.clone(), line: line.clone(), vehicles, gaps_m });
+        let mut speeds_mps: BTreeMap<_, _> = speeds.iter().map(|(&number, one)| (number, filled(one))).collect();
+        let mut gaps_by_number: BTreeMap<_, _> = gaps.iter().map(|(&number, one)| (number, filled(one))).collect();
+
+        let mut platoons = Vec::new();
+        for numbers in lines_of_vehicles {
+            let gaps_m = numbers.iter().rev().skip(1).rev();
+            let gaps_m = gaps_m.map(|number| gaps_by_number.remove(number).unwrap_or_default()).collect();
+            let vehicle = |&number: &usize| RecordedVehicle {
+                number,
+                name: header.name_of(number, recorded),
+                speed_mps: speeds_mps.remove(&number).unwrap_or_default(),
+            };
+            let (vehicles, core_ms) = (numbers.iter().map(vehicle).collect(), core_ms.clone());
+            let (time_s, line) = (time_s.clone(), line.clone());
+            platoons.push(RecordedPlatoon { event: None, time_s, line, vehicles, gaps_m, core_ms });
+        }
+        Ok(Recording {
+            path: table.path().to_owned(),
+            format: RecordingFormat::from_map(map),
+            text,
+            platoons,
+            traffic: None,
+            dropped,
+        })
     }
-    Ok(Recording {
-        path: table.path().to_owned(),
-        format: RecordingFormat::from_map(map),
-        text,
-        platoons,
-        traffic: None,
-        dropped,
-    })
 }
 
 #[derive(Default)]
@@ -125,7 +187,7 @@ struct PlatoonHeader {
 }
 
 impl PlatoonHeader {
-    fn read_line(&mut self, platoon: &PlatoonSpec, fields: &StringRecord) {
+    fn read_line(&mut self, platoon: &PlatoonSpec, fields: &Fields) {
         let values = fields.iter().skip(1).filter(|value| !value.is_empty());
         let first = fields.get(0);
         if first.is_some() && first == platoon.names_line.as_deref() {

@@ -81,7 +81,7 @@ struct Instant {
 }
 
 /// Replays every recorded drive behind a leader. `options` names the controller, which observes the recorded state;
-/// brakings count from `min_brake_mps2` on.
+/// brakings count from `min_brake_mps2` on. `advance` receives the replayed seconds, and those of all leaders.
 ///
 /// # Errors
 /// [`OpenLoopError`] if the controller cannot drive.
@@ -89,16 +89,27 @@ pub fn replay(
     recording: &Recording,
     options: &RunOptions,
     min_brake_mps2: f64,
+    advance: &dyn Fn(f64, f64),
 ) -> Result<Vec<ReplayedDrive>, OpenLoopError> {
     let mut replayed = Vec::new();
-    for lead in recording.lead_vehicles() {
-        for drive in lead.segments().iter().flat_map(|segment| drives(&*lead, segment)) {
-            let steps = resample(&drive);
-            let lasts_long = steps.len() as f64 * STEP_S >= MIN_DRIVE_S;
-            if let (Some(first), true) = (drive.first(), lasts_long) {
-                let commands_mps2 = commands(first, &steps, options)?;
-                replayed.push(evaluate(lead.event(), first, (&steps, &commands_mps2), min_brake_mps2));
+    let leads = recording.lead_vehicles();
+    let duration_s = |segment: &Vec<SpeedSample>| {
+        segment.first().zip(segment.last()).map_or(0.0, |(from, to)| (to.time_ms - from.time_ms) as f64 / 1000.0)
+    };
+    let total_s: f64 = leads.iter().flat_map(|lead| lead.segments()).map(|segment| duration_s(&segment)).sum();
+    let mut done_s = 0.0;
+    for lead in &leads {
+        for segment in lead.segments() {
+            for drive in drives(&**lead, &segment) {
+                let steps = resample(&drive);
+                let lasts_long = steps.len() as f64 * STEP_S >= MIN_DRIVE_S;
+                if let (Some(first), true) = (drive.first(), lasts_long) {
+                    let advance = |now_s: f64| advance(done_s + now_s - first.time_s, total_s);
+                    let commands_mps2 = commands(first, &steps, options, &advance)?;
+                    replayed.push(evaluate(lead.event(), first, (&steps, &commands_mps2), min_brake_mps2));
+                }
             }
+            done_s += duration_s(&segment);
         }
     }
     Ok(replayed)
@@ -108,7 +119,7 @@ pub fn replay(
 fn drives(lead: &dyn LeadVehicle, segment: &[SpeedSample]) -> Vec<Vec<Instant>> {
     let mut drives: Vec<Vec<Instant>> = Vec::new();
     let mut is_open = false;
-    for sample in segment {
+    for sample in segment.iter().filter(|sample| lead.core_ms().contains(&sample.time_ms)) {
         let mut followers = lead.followers_at(sample).into_iter();
         let Some(vehicle) = followers.next() else {
             is_open = false;
@@ -169,7 +180,12 @@ fn resample(drive: &[Instant]) -> Vec<(f64, Observation)> {
 }
 
 /// Returns the acceleration that the controller commands at each step, within the limits of the vehicle.
-fn commands(first: &Instant, steps: &[(f64, Observation)], options: &RunOptions) -> Result<Vec<f64>, OpenLoopError> {
+fn commands(
+    first: &Instant,
+    steps: &[(f64, Observation)],
+    options: &RunOptions,
+    advance: &dyn Fn(f64),
+) -> Result<Vec<f64>, OpenLoopError> {
     let placed = |vehicle: &EpisodeVehicle, position_m, driver| {
         let length_m = vehicle.length_m.unwrap_or(CAR_LENGTH_M);
         let mut spec = VehicleSpec::new(VehicleClass::from_length(length_m), position_m, vehicle.speed_mps, driver);
@@ -189,11 +205,17 @@ fn commands(first: &Instant, steps: &[(f64, Observation)], options: &RunOptions)
     let run = Run::new(&Scenario::new(spec)?, options.clone())?;
     let limits = run.ego(1);
     let mut controller = run.start_controller(1, &run.options().controller);
-    let command = |(time_s, observed): &(f64, Observation)| match controller.decide(observed) {
+    let mut command = |(time_s, observed): &(f64, Observation)| match controller.decide(observed) {
         Ok(command_mps2) => Ok(clamp_command(command_mps2, limits.max_brake_mps2, limits.max_accel_mps2)),
         Err(failure) => Err(OpenLoopError::NoAnswer { time_s: *time_s, reason: failure.to_string() }),
     };
-    steps.iter().map(command).collect()
+    let commands = steps.iter().enumerate().map(|(index, step)| {
+        if index % 256 == 0 {
+            advance(step.0);
+        }
+        command(step)
+    });
+    commands.collect()
 }
 
 fn evaluate(
@@ -288,7 +310,7 @@ mod tests {
         let recording = read(text.as_bytes(), Path::new("a.csv"), None).unwrap();
         for (brake_mps2, unnecessary) in [(3.0, 0), (7.0, 1)] {
             let options = RunOptions::new(ControllerKind::Custom(Arc::new(BrakesWithLeader(brake_mps2))));
-            let drives = replay(&recording, &options, 1.3).unwrap();
+            let drives = replay(&recording, &options, 1.3, &|_, _| {}).unwrap();
             let [drive] = &drives[..] else { panic!("{drives:?}") };
             let [braking] = drive.brakings[..] else { panic!("{drive:?}") };
             assert!((drive.duration_s - 19.9).abs() < 0.06 && (drive.distance_m - 341.75).abs() < 1.0, "{drive:?}");

@@ -360,7 +360,7 @@ fn an_import_is_all_or_nothing_and_its_names_are_distinct() {
     for path in &paths {
         std::fs::write(path, braking_platoon(3)).expect("temporary file");
     }
-    let imported = import(&paths, None, &ImportOptions::default()).expect("both readable");
+    let imported = import(&paths, None, &ImportOptions::default(), None).expect("both readable");
     let names: Vec<_> = imported.scenarios.iter().map(|s| s.file_name.as_str()).collect();
     assert_eq!(names, ["openacc-long-setting-16-01.toml", "openacc-long-setting-16-02.toml"]);
     for imported in &imported.scenarios {
@@ -368,7 +368,7 @@ fn an_import_is_all_or_nothing_and_its_names_are_distinct() {
         assert_eq!(read_back.expect("valid"), imported.scenario);
     }
     let with_missing = [paths[0].clone(), dir.path().join("gone.csv")];
-    assert!(import(&with_missing, None, &ImportOptions::default()).is_err());
+    assert!(import(&with_missing, None, &ImportOptions::default(), None).is_err());
     for wrong in [0.0, -1.0, 12.1, f64::NAN, f64::INFINITY] {
         assert!(MinBrake::new(wrong).is_err());
     }

@@ -74,7 +74,7 @@ impl RecordingMapSpec {
     }
 
     /// Returns every field that names a column, with the name.
-    pub(super) fn columns(&self) -> Vec<(&'static str, &str)> {
+    pub(in crate::recording) fn columns(&self) -> Vec<(&'static str, &str)> {
         let time = match &self.time {
             TimeSpec::Clock(clock) => ("time.clock.column", Some(&clock.column)),
             TimeSpec::Frames(frames) => ("time.frames.column", Some(&frames.column)),

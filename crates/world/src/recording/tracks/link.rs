@@ -73,6 +73,7 @@ pub(super) fn link(points: &mut [TrackPoint]) -> LinkProblems {
     let at = |points: &[TrackPoint], index: u32| points.get(index as usize).copied();
     let row = |point: &TrackPoint| (point.time_ms, point.lane, point.position_decreases);
     let unplaced = || points.iter().filter(|point| point.position_m.is_none() || point.length_m.is_none());
+    let unplaced = || unplaced().filter(|point| !point.is_margin);
     let unknown_position = unplaced().map(|point| point.line).min().map(|first| (first, unplaced().count()));
     let unlinkable: BTreeSet<_> = points.iter().filter(|point| point.position_m.is_none()).map(row).collect();
     order.sort_by(|&a, &b| match (at(points, a), at(points, b)) {
@@ -101,10 +102,10 @@ pub(super) fn link(points: &mut [TrackPoint]) -> LinkProblems {
         let hides_vehicle = |absence: &Absence| absence.may_be_between(&ahead, rear_m, behind.front_m);
         if !ColumnQuantity::Gap.allows(gap_m) {
             if round_to_milli(gap_m) <= 0.0 {
-                count(&mut overlapping, behind.line);
+                count(&mut overlapping, &behind);
             }
         } else if absent_now.len() > MAX_ABSENT || absent_now.values().any(hides_vehicle) {
-            count(&mut absent, behind.line);
+            count(&mut absent, &behind);
         } else {
             if let Some(point) = points.get_mut(rear as usize) {
                 point.ahead = Some((gap_m, front));

@@ -14,16 +14,21 @@ mod split;
 #[cfg(test)]
 mod tests;
 
+use std::ops::Range;
+use std::sync::Arc;
+
 use super::dropped::Omission;
 use super::map::ReferencePoint;
 use super::table::excerpt;
 
 /// Vehicles with changing neighbours.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct RecordedTraffic {
     /// Points sorted by track, then by time. The tracks of one vehicle are in order of time.
     points: Vec<TrackPoint>,
-    vehicles: Vec<VehicleId>,
+    vehicles: Arc<[VehicleId]>,
+    /// Times at which braking belongs to this part of the recording.
+    core_ms: Range<i64>,
 }
 
 /// Identity of a vehicle.
@@ -53,6 +58,8 @@ pub(super) struct TrackPoint {
     pub(super) front_m: f64,
     /// True if positions decrease as the vehicle drives.
     pub(super) position_decreases: bool,
+    /// True in the margins of a part of a recording, where another part counts omissions.
+    pub(super) is_margin: bool,
     /// Gap ahead, in metres, and index of the leader's point.
     pub(super) ahead: Option<(f64, u32)>,
     /// Index of the follower's point.
@@ -75,8 +82,10 @@ pub(super) struct TrackRules<'m> {
 /// Occurrences of one kind: line of the first, and number.
 type Occurrences = Option<(u64, usize)>;
 
-fn count(occurrences: &mut Occurrences, line: u64) {
-    occurrences.get_or_insert((line, 0)).1 += 1;
+fn count(occurrences: &mut Occurrences, point: &TrackPoint) {
+    if !point.is_margin {
+        occurrences.get_or_insert((point.line, 0)).1 += 1;
+    }
 }
 
 fn to_ms(seconds: f64) -> i64 {
@@ -90,7 +99,7 @@ pub(super) fn sort(points: &mut Vec<TrackPoint>) -> Option<(TrackPoint, usize)> 
     let mut duplicate: Option<(TrackPoint, usize)> = None;
     points.dedup_by(|later, first| {
         let is_twice = (later.vehicle, later.time_ms) == (first.vehicle, first.time_ms);
-        if is_twice {
+        if is_twice && !later.is_margin {
             duplicate.get_or_insert((*later, 0)).1 += 1;
         }
         is_twice
@@ -103,7 +112,7 @@ impl RecordedTraffic {
     /// first occurrence. The error is the line at which interpolation makes too many points.
     pub(super) fn build(
         mut points: Vec<TrackPoint>,
-        vehicles: Vec<VehicleId>,
+        (vehicles, core_ms): (Arc<[VehicleId]>, Range<i64>),
         rules: TrackRules<'_>,
         dropped: &mut Vec<(u64, Omission)>,
     ) -> Result<Self, u64> {
@@ -122,7 +131,7 @@ impl RecordedTraffic {
         dropped.extend(problems.unknown_position.map(|(line, count)| (line, Omission::UnknownPosition { count })));
         dropped.extend(problems.absent.map(|(line, count)| (line, Omission::AbsentVehicles { count })));
         dropped.extend(problems.overlapping.map(|(line, count)| (line, Omission::Overlapping { count })));
-        Ok(Self { points, vehicles })
+        Ok(Self { points, vehicles, core_ms })
     }
 }
 
