@@ -15,8 +15,8 @@ use super::{CliError, output, value_enums};
 use crumple_core::digits;
 use crumple_core::quoting::TerminalText;
 use crumple_evidence::fit::{
-    EpisodeCollector, EpisodeSample, ExtractionConfig, FamilyFit, FittedFeature, FittedSize, FittedSpace, MAX_VEHICLES, fit,
-    format_p_value,
+    EpisodeCollector, EpisodeSample, ExtractionConfig, FamilyFit, FittedFeature, FittedSize, FittedSpace, MAX_VEHICLES,
+    fit, format_p_value,
 };
 use crumple_report::figures;
 use crumple_store::disk::StagedFiles;

@@ -6,8 +6,8 @@ use super::FitError;
 use super::exclusions::ExclusionCounts;
 use super::sizes::VehicleSizes;
 use crumple_world::recording::{
-    BrakingEpisode, HardestBrakingResult, HardestSearch, LeaderSelection, MAX_PLAUSIBLE_ACCEL_MPS2,
-    MinBrake, Recording, braking_clusters, find_episodes, following_exposure,
+    BrakingEpisode, HardestBrakingResult, HardestSearch, LeaderSelection, MAX_PLAUSIBLE_ACCEL_MPS2, MinBrake,
+    Recording, braking_clusters, find_episodes, following_exposure,
 };
 use crumple_world::scenario::space::{DrivingExposure, ObservedData, ObservedParameter, SourceExposure};
 
@@ -189,7 +189,15 @@ impl EpisodeCollector {
     /// [`FitError::TooFew`] or [`FitError::TooMany`] for the number of episodes.
     pub fn finish(self) -> Result<EpisodeSample, FitError> {
         let EpisodeCollector {
-            mut features, clusters, mut columns, lengths, sources, hardest, exclusions, out_of_range, ..
+            mut features,
+            clusters,
+            mut columns,
+            lengths,
+            sources,
+            hardest,
+            exclusions,
+            out_of_range,
+            ..
         } = self;
         let taken = self.extraction;
         let most_out_of_range =
@@ -219,7 +227,7 @@ impl EpisodeCollector {
             return Err(FitError::TooFew {
                 found,
                 needed,
-                vehicles,
+                vehicles: taken.vehicles,
                 too_few_vehicles: exclusions.too_few_vehicles,
                 out_of_range: exclusions.out_of_range,
                 details: most,
@@ -288,7 +296,7 @@ impl EpisodeCollector {
             kilometres: driven.kilometres,
             undescribed_brakings: (self.exclusions.count_in_exposure() - left_out) as u64,
         };
-        let is_same = self.last_path.as_ref() == Some(&recording.path);
+        let (is_same, count) = (self.last_path.as_ref() == Some(&recording.path), self.sources.len());
         match self.sources.last_mut().filter(|_| is_same) {
             Some(source) => {
                 source.episodes += new.episodes;
@@ -296,9 +304,8 @@ impl EpisodeCollector {
                 source.kilometres += new.kilometres;
                 source.undescribed_brakings += new.undescribed_brakings;
             }
-            None if self.sources.len() >= MAX_RECORDINGS => {
-                let found = self.sources.len() + 1;
-                return Err(FitError::TooMany { found, max: MAX_RECORDINGS, what: "recordings" });
+            None if count >= MAX_RECORDINGS => {
+                return Err(FitError::TooMany { found: count + 1, max: MAX_RECORDINGS, what: "recordings" });
             }
             None => {
                 self.last_path = Some(recording.path.clone());

@@ -4,9 +4,9 @@ use std::fs::File;
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
+use super::ReadProgress;
 use super::error::{BinaryProblem, RecordingError};
 use super::map::RecordingMapSpec;
-use super::ReadProgress;
 use super::table::RowReader;
 
 /// Number of bytes that show the format of a file.

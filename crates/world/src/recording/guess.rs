@@ -13,15 +13,45 @@ use super::{LineProblem, Recording, binary, load_first_part};
 
 /// Words in the names of columns, in lower case.
 const TIMES: &[&str] = &["time", "timestamp", "t", "zeit", "sec", "seconds"];
-const SPACINGS: &[&str] = &["gap", "spacing", "distance", "dist", "range", "clearance", "headway", "abstand", "d", "dx"];
+const SPACINGS: &[&str] =
+    &["gap", "spacing", "distance", "dist", "range", "clearance", "headway", "abstand", "d", "dx"];
 const RELATIVE: &[&str] = &["rel", "relative", "relativ", "closing", "rangerate", "dv", "deltav", "vrel", "differenz"];
 const SPEEDS: &[&str] = &[
-    "speed", "velocity", "vel", "v", "geschwindigkeit", "mps", "kmh", "kph", "mph", "xvelocity", "vego", "vl", "vf",
-    "vlead", "vrel", "tempo",
+    "speed",
+    "velocity",
+    "vel",
+    "v",
+    "geschwindigkeit",
+    "mps",
+    "kmh",
+    "kph",
+    "mph",
+    "xvelocity",
+    "vego",
+    "vl",
+    "vf",
+    "vlead",
+    "vrel",
+    "tempo",
 ];
 const LEADERS: &[&str] = &[
-    "lead", "leader", "target", "front", "preceding", "ahead", "object", "obj", "tgt", "vl", "vlead", "vorn", "vorne",
-    "voraus", "vorausfahrend", "ziel", "objekt",
+    "lead",
+    "leader",
+    "target",
+    "front",
+    "preceding",
+    "ahead",
+    "object",
+    "obj",
+    "tgt",
+    "vl",
+    "vlead",
+    "vorn",
+    "vorne",
+    "voraus",
+    "vorausfahrend",
+    "ziel",
+    "objekt",
 ];
 const VEHICLES: &[&str] = &["id", "vehicle", "track", "trackid", "vehicleid", "fahrzeug"];
 const EVENTS: &[&str] = &["event", "eventid", "episode", "episodeid"];
@@ -118,7 +148,7 @@ fn candidates(columns: &Columns) -> Vec<RecordingMapSpec> {
             let (Some(speed_unit), Some(unit)) = (unit_named(speed_unit), unit_named(unit)) else {
                 continue;
             };
-            let speed = |column: &String| SpeedSpec { column: column.clone(), unit: speed_unit };
+            let speed = |column: &String| SpeedSpec { column: column.clone(), unit: speed_unit, acceleration: None };
             let from = Spacing::BumperToBumper;
             let mut add = |layout| {
                 let time = TimeSpec::Clock(ClockSpec { column: time.clone(), unit: time_unit });

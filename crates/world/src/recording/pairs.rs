@@ -8,10 +8,11 @@ use std::hash::{DefaultHasher, Hash, Hasher};
 use std::ops::Range;
 use std::{iter, mem};
 
-use super::consistency::{Comparison, Hypothesis};
+use super::acceleration::AccelerationCheck;
+use super::consistency::Comparison;
 use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, RecordingError};
-use super::map::{LengthUnit, PairsSpec, RecordingMapSpec, Sign, SpeedSpec, SpeedUnit};
+use super::map::{PairsSpec, RecordingMapSpec, Sign, SpeedSpec};
 use super::parts::{PART_ROWS, PartBounds, PartSink};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
 use super::table::{CsvColumn, CsvRow, RowCounter, RowReader, excerpt};
@@ -46,7 +47,8 @@ pub(super) fn read(
     table.check_samples(counter.rows, &mut dropped)?;
     events.finish_event();
     let speeds = [&events.follower, &events.relative, &events.leader].into_iter().flatten();
-    for series in iter::once(&events.gap).chain(speeds) {
+    let accelerations = events.accelerations.iter().flatten().map(|acceleration| &acceleration.series);
+    for series in iter::once(&events.gap).chain(speeds).chain(accelerations) {
         series.report(table.path(), counter.rows, &mut dropped);
     }
     let mut last = events.part(table, dropped)?;
@@ -62,27 +64,29 @@ pub(super) fn read(
 }
 
 /// Finished events, and the current one.
-struct EventReader<'m> {
-    spec: (&'m RecordingMapSpec, &'m PairsSpec),
+pub(super) struct EventReader<'m> {
+    pub(super) spec: (&'m RecordingMapSpec, &'m PairsSpec),
     platoons: Vec<RecordedPlatoon>,
     /// Number of rows of these platoons.
     finished_rows: usize,
     bounds: PartBounds,
     /// Column of the event. `event` holds the full text, since names may differ in the last character.
     column: Option<CsvColumn>,
+    /// Accelerations of the follower and of the leader.
+    pub(super) accelerations: [Option<AccelerationCheck>; 2],
     event: Option<String>,
     /// Last time and line of each finished event, by the hash of its name, which may be long.
     finished: HashMap<u64, (f64, u64)>,
-    clock: Clock,
+    pub(super) clock: Clock,
     samples: PairSamples,
-    gap: Series,
-    follower: Option<Series>,
-    relative: Option<Series>,
-    leader: Option<Series>,
+    pub(super) gap: Series,
+    pub(super) follower: Option<Series>,
+    pub(super) relative: Option<Series>,
+    pub(super) leader: Option<Series>,
     contradictions: Option<(DroppedItem, usize)>,
     /// Changes of the gap against closing speeds, and closing speeds against both speeds.
-    gap_change: Comparison,
-    closing: Comparison,
+    pub(super) gap_change: Comparison,
+    pub(super) closing: Comparison,
     /// Line of the first switch to another target, and all switches.
     switches: Option<(u64, Omission)>,
     /// First line and number of interpolated spacings, follower speeds and leader speeds.
@@ -100,8 +104,11 @@ impl<'m> EventReader<'m> {
             let sign = if one.sign == Sign::LeaderMinusFollower { 1.0 } else { -1.0 };
             series(&one.column, sign * one.unit.factor(), ColumnQuantity::Signed)
         });
+        let acceleration =
+            |speed: &Option<SpeedSpec>| speed.as_ref().map_or(Ok(None), |speed| AccelerationCheck::find(names, speed));
         Ok(Self {
             spec,
+            accelerations: [acceleration(&pairs.follower_speed)?, acceleration(&pairs.leader_speed)?],
             platoons: Vec::new(),
             finished_rows: 0,
             bounds: PartBounds::new(3),
@@ -152,6 +159,12 @@ impl<'m> EventReader<'m> {
         self.gap_change.add((now_s, row.line), gap_m, rates_mps);
         if let (Some(follower), Some(relative), Some(leader)) = speeds {
             self.closing.add_instant(row.line, [relative, leader, -follower]);
+        }
+        for (acceleration, speed_mps) in self.accelerations.iter_mut().zip([follower_mps, leader_mps]) {
+            if let Some(acceleration) = acceleration {
+                let value = acceleration.series.read(row)?;
+                acceleration.add((now_s, row.line), speed_mps, value);
+            }
         }
         self.samples.time_s.push(now_s);
         self.samples.line.push(row.line);
@@ -205,6 +218,7 @@ impl<'m> EventReader<'m> {
     fn finish_event(&mut self) {
         self.clock.restart();
         self.gap_change.restart();
+        self.accelerations.iter_mut().flatten().for_each(AccelerationCheck::restart);
         let Some(event) = self.event.take() else { return };
         let samples = mem::take(&mut self.samples);
         if let (Some(&last_s), Some(&last_line)) = (samples.time_s.last(), samples.line.last()) {
@@ -251,6 +265,8 @@ impl<'m> EventReader<'m> {
             dropped.extend(found.map(|(line, count)| item(line, omission(count))));
         }
         self.check(table, &mut dropped)?;
+        let accelerations = self.accelerations.iter_mut().flatten();
+        accelerations.into_iter().try_for_each(|acceleration| acceleration.check(table, &mut dropped))?;
         (self.gap_change, self.closing, self.finished_rows) = (Comparison::default(), Comparison::default(), 0);
         dropped.extend(self.switches.take().map(|(line, omission)| item(line, omission)));
         Ok(Recording {
@@ -261,44 +277,6 @@ impl<'m> EventReader<'m> {
             traffic: None,
             dropped,
         })
-    }
-
-    /// Compares the closing speed with both speeds, and the gap with the closing speed.
-    fn check(&self, table: &RowReader<'_>, dropped: &mut Vec<DroppedItem>) -> Result<(), RecordingError> {
-        let (map, pairs) = self.spec;
-        let name = |series: &Option<Series>| series.as_ref().map_or("", |one| &one.column.name).to_owned();
-        let (leader, follower, relative) = (name(&self.leader), name(&self.follower), name(&self.relative));
-        let difference = format!("{leader} - {follower}");
-        let units = |terms, column, given| Hypothesis::units(column, (SpeedUnit::ALL, given), terms);
-        let unit = |speed: &Option<SpeedSpec>| speed.as_ref().map_or(1.0, |speed| speed.unit.factor());
-        let (leader_unit, follower_unit) = (unit(&pairs.leader_speed), unit(&pairs.follower_speed));
-        let relative_unit = pairs.relative_speed.as_ref().map_or(1.0, |speed| speed.unit.factor());
-        let of_speeds = || {
-            let both = units([false, true, true], &difference, leader_unit).filter(|_| leader_unit == follower_unit);
-            let each = units([false, true, false], &leader, leader_unit);
-            both.chain(each).chain(units([false, false, true], &follower, follower_unit))
-        };
-        let flipped = |factors, reason| iter::once(Hypothesis { factors, reason });
-        let wrong_sign = |factors| flipped(factors, format!("{relative} has the opposite sign"));
-        let closing: Vec<_> = wrong_sign([-1.0, 1.0, 1.0])
-            .chain(units([true, false, false], &relative, relative_unit))
-            .chain(of_speeds())
-            .collect();
-        self.closing.check(table, &relative, [&relative, &difference], (&closing, dropped))?;
-        let gap = &pairs.spacing;
-        let gaps = (LengthUnit::ALL, gap.unit.factor());
-        let common = Hypothesis::units(&gap.column, gaps, [true, false, false])
-            .chain(Hypothesis::times(&map.time, self.clock.column.factor));
-        let (stated, hypotheses): (_, Vec<_>) = if self.relative.is_some() {
-            let of_relative = units([false, true, true], &relative, relative_unit);
-            (&relative, wrong_sign([1.0, -1.0, -1.0]).chain(of_relative).chain(common).collect())
-        } else {
-            let exchanged = flipped([1.0, -1.0, -1.0], format!("{leader} and {follower} look exchanged"));
-            (&difference, exchanged.chain(of_speeds()).chain(common).collect())
-        };
-        let change = format!("the change of {}", gap.column);
-        self.gap_change.check(table, stated, [&change, stated], (&hypotheses, dropped))?;
-        Ok(())
     }
 }
 

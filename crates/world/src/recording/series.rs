@@ -52,7 +52,13 @@ impl Clock {
             TimeSpec::Clock(ClockSpec { column, unit: None }) => (column, 1.0, ClockFormat::Unknown),
             TimeSpec::Frames(frames) => (&frames.column, 1.0 / frames.rate_hz, ClockFormat::Stated),
         };
-        Ok(Self { column: CsvColumn::find(names, column, factor)?, last_s: None, not_later: None, format, is_first: true })
+        Ok(Self {
+            column: CsvColumn::find(names, column, factor)?,
+            last_s: None,
+            not_later: None,
+            format,
+            is_first: true,
+        })
     }
 
     /// Returns the format that the first row shows, unless the map states the unit.

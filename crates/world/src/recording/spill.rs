@@ -10,7 +10,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use super::tracks::TrackPoint;
 
 /// Bytes of a point in a file.
-const POINT_BYTES: usize = 48;
+const POINT_BYTES: usize = 56;
 
 /// Sorted points in files, each of which is sorted.
 #[derive(Default)]
@@ -109,7 +109,8 @@ fn encode(point: &TrackPoint) -> [u8; POINT_BYTES] {
     let number = |value: Option<f64>| value.unwrap_or(f64::NAN).to_bits();
     let ids = u64::from(point.vehicle) | u64::from(point.lane) << 32;
     let [position, speed, length] = [point.position_m, point.speed_mps, point.length_m].map(number);
-    let words = [ids, point.time_ms as u64, point.line, position, speed, length];
+    let acceleration = number(point.acceleration_mps2.map(f64::from));
+    let words = [ids, point.time_ms as u64, point.line, position, speed, length, acceleration];
     let mut bytes = [0; POINT_BYTES];
     for (place, word) in bytes.chunks_exact_mut(8).zip(words) {
         place.copy_from_slice(&word.to_le_bytes());
@@ -122,7 +123,7 @@ fn decode(bytes: &[u8; POINT_BYTES]) -> TrackPoint {
     for (word, place) in words.iter_mut().zip(bytes.chunks_exact(8)) {
         *word = place.iter().rev().fold(0, |all: u64, byte| all << 8 | u64::from(*byte));
     }
-    let [ids, time, line, position, speed, length] = words;
+    let [ids, time, line, position, speed, length, acceleration] = words;
     let number = |bits| Some(f64::from_bits(bits)).filter(|value| !value.is_nan());
     TrackPoint {
         vehicle: ids as u32,
@@ -132,6 +133,7 @@ fn decode(bytes: &[u8; POINT_BYTES]) -> TrackPoint {
         position_m: number(position),
         speed_mps: number(speed),
         length_m: number(length),
+        acceleration_mps2: number(acceleration).map(|value| value as f32),
         ..Default::default()
     }
 }

@@ -10,13 +10,12 @@ use super::number::parse_number;
 use super::text::TextFormat;
 use super::text_rows::{Fields, TextRows};
 
-
 pub(super) struct RowReader<'a> {
     path: &'a Path,
     rows: RowSource<'a>,
     row: CsvRow<'a>,
-    /// Length of the last field of the row before.
-    last_length: usize,
+    /// Number of decimals of the last column, and true if all rows have this number.
+    decimals: Option<(usize, bool)>,
 }
 
 enum RowSource<'a> {
@@ -34,7 +33,7 @@ impl<'a> RowReader<'a> {
     /// Reads rows with named columns.
     pub(super) fn from_binary(rows: Box<dyn BinaryRows + 'a>, names: Fields, path: &'a Path) -> Self {
         let rows = RowSource::Binary { rows, names: Some(names) };
-        Self { path, rows, row: CsvRow::new(path, DecimalMark::Point), last_length: 0 }
+        Self { path, rows, row: CsvRow::new(path, DecimalMark::Point), decimals: None }
     }
 
     /// Detects the text format, as far as `map` does not state it.
@@ -47,7 +46,7 @@ impl<'a> RowReader<'a> {
         let rows = TextRows::new(from, |sample| TextFormat::detect(sample, map));
         let rows = rows.map_err(|error| start.io_error(error))?;
         let decimal = rows.format().decimal;
-        Ok(Self { path, rows: RowSource::Text(Box::new(rows)), row: CsvRow::new(path, decimal), last_length: 0 })
+        Ok(Self { path, rows: RowSource::Text(Box::new(rows)), row: CsvRow::new(path, decimal), decimals: None })
     }
 
     /// Returns the text format, with the encoding of what was read so far.
@@ -76,11 +75,15 @@ impl<'a> RowReader<'a> {
             RowSource::Text(rows) => match rows.next_row(&mut row.fields) {
                 Ok(Some(line)) => {
                     row.line = line;
-                    let last = row.fields.iter().last().unwrap_or_default().trim();
-                    let length = if last.parse::<f64>().is_ok() { last.len() } else { 0 };
-                    // The end of the file may have cut off digits.
-                    row.is_cut = rows.is_cut && length > 0 && length < self.last_length;
-                    self.last_length = length;
+                    let last = row.fields.get(row.fields.len() - 1).unwrap_or_default().trim();
+                    let decimals = last.rfind(['.', ',']).map_or(0, |mark| last.len() - mark);
+                    // The end of the file may have cut off decimals, if each row has equally many.
+                    row.is_cut =
+                        rows.is_cut && self.decimals.is_some_and(|(count, is_fixed)| is_fixed && decimals < count);
+                    if decimals > 0 {
+                        let is_fixed = self.decimals.is_none_or(|(count, is_fixed)| is_fixed && count == decimals);
+                        self.decimals = Some((decimals, is_fixed));
+                    }
                     Ok((!row.is_cut).then_some(row))
                 }
                 Ok(None) => Ok(None),

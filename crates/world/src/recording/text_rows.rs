@@ -63,9 +63,8 @@ impl Fields {
             let rest = self.text.get(from..).unwrap_or_default();
             let start = from + rest.len() - rest.trim_start_matches(' ').len();
             let bytes = self.text.as_bytes();
-            let find = |from: usize, byte: u8| {
-                bytes.get(from..)?.iter().position(|other| *other == byte).map(|at| from + at)
-            };
+            let find =
+                |from: usize, byte: u8| bytes.get(from..)?.iter().position(|other| *other == byte).map(|at| from + at);
             let end = if bytes.get(start) == Some(&b'"') {
                 let mut close = start + 1;
                 loop {
@@ -119,10 +118,7 @@ pub(super) struct TextRows<'a> {
 
 impl<'a> TextRows<'a> {
     /// Detects the format of a text with a function of its beginning.
-    pub(super) fn new(
-        from: impl Read + 'a,
-        detect: impl FnOnce(&str) -> TextFormat,
-    ) -> Result<Self, io::Error> {
+    pub(super) fn new(from: impl Read + 'a, detect: impl FnOnce(&str) -> TextFormat) -> Result<Self, io::Error> {
         let mut text = Utf8Reader::new(Box::new(from) as Box<dyn Read + 'a>);
         let sample = String::from_utf8_lossy(text.fill_buf()?);
         let line_end = if sample.contains('\r') && !sample.contains('\n') { b'\r' } else { b'\n' };

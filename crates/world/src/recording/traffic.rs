@@ -4,6 +4,7 @@ use std::collections::{BTreeSet, HashMap};
 use std::ops::Range;
 use std::sync::Arc;
 
+use super::acceleration::AccelerationCheck;
 use super::consistency::{Comparison, Hypothesis};
 use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, LineProblem, RecordingError};
@@ -36,6 +37,7 @@ pub(super) fn read(
         LengthSpec::Column(column) => (Some(series(&column.name, column.unit.factor(), ColumnQuantity::Length)?), 0.0),
         LengthSpec::Metres(metres) => (None, *metres),
     };
+    let mut acceleration = AccelerationCheck::find(names, &spec.speed)?;
     let (mut vehicles, mut lanes) = (TextIds::default(), TextIds::default());
     let mut counter = RowCounter::new(&names.fields);
     let (mut points, mut spilled) = (Vec::new(), SpilledPoints::default());
@@ -56,22 +58,36 @@ pub(super) fn read(
         }
         let (position_m, speed_mps) = (position.read(row)?, speed.read(row)?);
         let length_m = length.as_mut().map_or(Ok(Some(constant_m)), |series| series.read(row))?;
+        let acceleration_mps2 =
+            acceleration.as_mut().map_or(Ok(None), |one| one.series.read(row))?.map(|mps2| mps2 as f32);
         // Points with unknown values stay in the list; without them, the next vehicle would seem to follow the wrong
         // leader.
         let time_ms = (time_s * 1000.0).round() as i64;
         let line = row.line;
-        points.push(TrackPoint { vehicle, lane, time_ms, line, position_m, speed_mps, length_m, ..Default::default() });
+        points.push(TrackPoint {
+            vehicle,
+            lane,
+            time_ms,
+            line,
+            position_m,
+            speed_mps,
+            length_m,
+            acceleration_mps2,
+            ..Default::default()
+        });
         if points.len() > PART_ROWS {
             spilled.write(&mut points).map_err(disk)?;
         }
     }
     let mut dropped = Vec::new();
     table.check_samples(counter.rows, &mut dropped)?;
-    for series in [Some(&position), Some(&speed), length.as_ref()].into_iter().flatten() {
+    let accelerations = acceleration.as_ref().map(|one| &one.series);
+    for series in [Some(&position), Some(&speed), length.as_ref(), accelerations].into_iter().flatten() {
         series.report(path, counter.rows, &mut dropped);
     }
     let time = (clock.column.factor, clock.detected());
-    let mut parts = TrafficParts { table, map, spec, time, vehicles: vehicles.into_vehicles().into(), dropped };
+    let mut parts =
+        TrafficParts { table, map, spec, time, acceleration, vehicles: vehicles.into_vehicles().into(), dropped };
     if spilled.is_empty() {
         each(parts.part(points, ALL_TIMES)?)?;
         return Ok(());
@@ -101,6 +117,7 @@ struct TrafficParts<'t, 'p> {
     spec: &'t TracksSpec,
     /// Size of the unit of time in seconds, and detected format.
     time: (f64, Option<&'static str>),
+    acceleration: Option<AccelerationCheck>,
     vehicles: Arc<[VehicleId]>,
     /// Omissions in the rows, for the first part.
     dropped: Vec<DroppedItem>,
@@ -109,7 +126,7 @@ struct TrafficParts<'t, 'p> {
 impl TrafficParts<'_, '_> {
     /// Builds the tracks of a part, whose margins lie outside of the core.
     fn part(&mut self, mut points: Vec<TrackPoint>, core_ms: Range<i64>) -> Result<Recording, RecordingError> {
-        let Self { table, map, spec, .. } = self;
+        let Self { table, map, spec, acceleration, .. } = self;
         let path = table.path();
         points.iter_mut().for_each(|point| point.is_margin = !core_ms.contains(&point.time_ms));
         let mut dropped = std::mem::take(&mut self.dropped);
@@ -125,6 +142,16 @@ impl TrafficParts<'_, '_> {
             lane_blip_s: spec.lane_blip_s,
             speeds_agree: check(table, (map, spec), (&points, self.time.0), &mut dropped)?,
         };
+        if let Some(acceleration) = acceleration {
+            for vehicle in points.chunk_by(|a, b| a.vehicle == b.vehicle) {
+                acceleration.restart();
+                for point in vehicle {
+                    let at = (point.time_ms as f64 / 1000.0, point.line);
+                    acceleration.add(at, point.speed_mps, point.acceleration_mps2.map(f64::from));
+                }
+            }
+            acceleration.check(table, &mut dropped)?;
+        }
         let mut omissions = Vec::new();
         let vehicles = self.vehicles.clone();
         let traffic = RecordedTraffic::build(points, (vehicles, core_ms), rules, &mut omissions).map_err(|line| {

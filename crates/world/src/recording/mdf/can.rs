@@ -91,22 +91,28 @@ impl DbcFile {
         let begin = self.text.lines().enumerate().filter(|(_, line)| starts(line, ["BO_", &id])).last();
         let line = begin.and_then(|(from, _)| match signal {
             None => Some(from),
-            Some(signal) => (from..).zip(self.text.lines().skip(from)).find(|(_, line)| starts(line, ["SG_", signal])).map(|(at, _)| at),
+            Some(signal) => (from..)
+                .zip(self.text.lines().skip(from))
+                .find(|(_, line)| starts(line, ["SG_", signal]))
+                .map(|(at, _)| at),
         });
         MdfError::Dbc { path: self.path.clone(), line: line.map(|line| line + 1), problem }
     }
 
     /// Adds the wanted signals and returns their decoder. The error is a message that is defined twice, or a signal
     /// beyond the end of its message. A name may begin with that of the message and a point.
-    pub(super) fn decoder(&self, wanted: &dyn Fn(&str) -> bool, signals: &mut SignalSet) -> Result<FrameDecoder, MdfError> {
+    pub(super) fn decoder(
+        &self,
+        wanted: &dyn Fn(&str) -> bool,
+        signals: &mut SignalSet,
+    ) -> Result<FrameDecoder, MdfError> {
         let mut decoder = FrameDecoder::new();
         for message in &self.dbc.messages {
             let name = |signal: &DbcSignal| {
                 let qualified = format!("{}.{}", message.name, signal.name);
                 [qualified, signal.name.clone()].into_iter().find(|name| wanted(name))
             };
-            let wanted: Vec<_> =
-                message.signals.iter().filter_map(|signal| Some((signal, name(signal)?))).collect();
+            let wanted: Vec<_> = message.signals.iter().filter_map(|signal| Some((signal, name(signal)?))).collect();
             if !wanted.is_empty() && decoder.contains_key(&message.id) {
                 return Err(self.error(message, None, format!("message {} is defined twice", message.id.raw())));
             }
@@ -117,7 +123,8 @@ impl DbcFile {
                     ByteOrder::LittleEndian => signal.start_bit,
                 };
                 if start.saturating_add(signal.size) > message.size.saturating_mul(8) {
-                    let problem = format!("signal {} goes beyond the {} bytes of its message", signal.name, message.size);
+                    let problem =
+                        format!("signal {} goes beyond the {} bytes of its message", signal.name, message.size);
                     return Err(self.error(message, Some(&signal.name), problem));
                 }
                 // Frames without the signal, by a multiplexer, have no place in its clock.

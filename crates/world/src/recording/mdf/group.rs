@@ -205,12 +205,7 @@ impl Group {
     }
 
     /// Adds the values of a record. Returns its time.
-    fn add(
-        &mut self,
-        record: &[u8],
-        decoder: &FrameDecoder,
-        signals: &mut SignalSet,
-    ) -> Result<Option<f64>, MdfError> {
+    fn add(&mut self, record: &[u8], decoder: &FrameDecoder, signals: &mut SignalSet) -> Result<Option<f64>, MdfError> {
         let Some((clock, master)) = self.clock.as_ref().filter(|_| self.is_needed()) else { return Ok(None) };
         let time_s = master.value(record, self.rows);
         if !self.channels.is_empty() {

@@ -18,7 +18,6 @@ pub use can::DbcFile;
 use can::FrameDecoder;
 use group::DataGroup;
 
-
 /// Maximum number of values in memory: 160 MB.
 const MAX_VALUES: usize = 20_000_000;
 /// Number of values from which on those that are not needed any more are removed: 32 MB.

@@ -1,7 +1,7 @@
 //! Interpolation of short holes in tracks.
 
-use super::super::series::interpolate_holes;
 use super::super::parts::MAX_POINTS;
+use super::super::series::interpolate_holes;
 use super::{Occurrences, TrackPoint, to_ms};
 
 const OPTIONAL_FIELDS: [fn(&mut TrackPoint) -> &mut Option<f64>; 3] =

@@ -54,6 +54,7 @@ pub(super) struct TrackPoint {
     /// Speed as recorded, of either sign, in m/s; without sign after orientation.
     pub(super) speed_mps: Option<f64>,
     pub(super) length_m: Option<f64>,
+    pub(super) acceleration_mps2: Option<f32>,
     /// Front bumper in the direction of driving, in metres; meaningless if position or length is unknown.
     pub(super) front_m: f64,
     /// True if positions decrease as the vehicle drives.
