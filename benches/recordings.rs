@@ -1,4 +1,4 @@
-//! Import of long recordings: megabytes of the file per second of wall clock, on one thread, and the peak of memory.
+//! Import of long recordings: megabytes of the file per second of processor time, and the peak of memory.
 //!
 //! `cargo bench --bench recordings --all-features` writes files of 1 GB into the temporary folder, one after another;
 //! `cargo bench --bench recordings --all-features -- 0.1` files of 0.1 GB. Targets: 200 MB/s of CSV, 400 MB/s of MDF,
@@ -9,7 +9,6 @@
 use std::fs::File;
 use std::io::{BufWriter, Result, Write};
 use std::path::Path;
-use std::time::Instant;
 
 use crumple_world::recording::map::RecordingMap;
 use crumple_world::recording::{ImportOptions, import};
@@ -24,6 +23,13 @@ spacing = { column = "c1", from = "bumper-to-bumper" }
 follower_speed = { column = "c2" }
 leader_speed = { column = "c3" }
 "#;
+
+/// Time measurements, shared with the bench of the targets.
+#[allow(dead_code, reason = "this bench uses one of its functions")]
+#[path = "targets/clock.rs"]
+mod clock;
+
+use clock::cpu_time_s;
 
 fn main() {
     let size = std::env::args().filter_map(|word| word.parse::<f64>().ok()).next().unwrap_or(1.0);
@@ -40,9 +46,9 @@ fn main() {
         let mut out = BufWriter::new(File::create(&path).expect("a file"));
         write(&mut out, bytes).and_then(|()| out.flush()).expect("space on the disk");
         let length = path.metadata().expect("the file").len() as f64 / 1e6;
-        let begin = Instant::now();
+        let begin = cpu_time_s();
         let imported = import(&[path.clone()], Some(map), &ImportOptions::default(), None).expect("readable");
-        let seconds = begin.elapsed().as_secs_f64();
+        let seconds = cpu_time_s() - begin;
         let scenarios = imported.scenarios.len();
         println!("{name}: {length:.0} MB in {seconds:.2} s, {:.0} MB/s, {scenarios} scenarios", length / seconds);
         std::fs::remove_file(&path).expect("the file");
@@ -92,7 +98,8 @@ fn write_tracks(out: &mut BufWriter<File>, bytes: u64) -> Result<()> {
         for frame in 0..600 {
             let at_s = frame as f64 / 10.0;
             let line = format!(
-                "{vehicle},{},600,{},12.345,{:.3},6451137.641,1873344.962,14.5,4.9,2,{:.2},0.00,{lane},{},{},65.62,2.00\n",
+                "{vehicle},{},600,{},12.345,{:.3},6451137.641,1873344.962,14.5,4.9,2,{:.2},0.00,{lane},{},{},65.62,\
+                 2.00\n",
                 start + frame,
                 1_118_846_980_200_u64 + 100 * (start + frame),
                 at_s * 32.81,

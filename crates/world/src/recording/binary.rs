@@ -24,19 +24,19 @@ pub(super) enum BinaryFormat {
 
 /// A file, or its bytes.
 pub(super) enum Input {
-    File(Source),
+    File(RecordingFile),
     Bytes(Vec<u8>),
 }
 
 /// A file that reports the progress of reading.
-pub(super) struct Source {
+pub(super) struct RecordingFile {
     file: File,
     length: u64,
     read: u64,
     progress: Option<ReadProgress>,
 }
 
-impl Source {
+impl RecordingFile {
     pub(super) fn open(path: &Path, progress: Option<&ReadProgress>) -> io::Result<Self> {
         let file = File::open(path)?;
         let length = file.metadata()?.len();
@@ -48,7 +48,7 @@ impl Source {
     }
 }
 
-impl Read for Source {
+impl Read for RecordingFile {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
         let count = self.file.read(into)?;
         self.read += count as u64;
@@ -57,21 +57,21 @@ impl Read for Source {
     }
 }
 
-impl Seek for Source {
+impl Seek for RecordingFile {
     fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
         self.file.seek(to)
     }
 }
 
 #[cfg(feature = "parquet")]
-impl parquet::file::reader::Length for Source {
+impl parquet::file::reader::Length for RecordingFile {
     fn len(&self) -> u64 {
         self.length
     }
 }
 
 #[cfg(feature = "parquet")]
-impl parquet::file::reader::ChunkReader for Source {
+impl parquet::file::reader::ChunkReader for RecordingFile {
     type T = <File as parquet::file::reader::ChunkReader>::T;
 
     fn get_read(&self, start: u64) -> parquet::errors::Result<Self::T> {
@@ -100,7 +100,7 @@ impl BinaryFormat {
 /// Returns the names of the columns or signals of a file; `time` for the clocks of an MDF file.
 pub(super) fn column_names(path: &Path) -> Result<Vec<String>, RecordingError> {
     let error = |source| RecordingError::Read { path: path.to_owned(), source };
-    let open_file = || Source::open(path, None).map_err(error);
+    let open_file = || RecordingFile::open(path, None).map_err(error);
     let mut start = Vec::new();
     open_file()?.take(START_BYTES).read_to_end(&mut start).map_err(error)?;
     let mut rows = match BinaryFormat::detect(&start) {

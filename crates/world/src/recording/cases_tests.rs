@@ -41,7 +41,7 @@ fn vehicles_follow_those_ahead_of_them() {
 #[test]
 fn columns_that_contradict_each_other_stop_the_import() {
     for (file, map, parts) in [
-        ("n_basic.csv", "ng_wrong.toml", ["v_Vel looks like ft/s: ratio 3.28", "20.0 m/s", "65.6 m/s"]),
+        ("n_basic.csv", "ng_wrong.toml", ["v_Vel looks like ft/s: ratio 3.28", "13.2 m/s", "43.5 m/s"]),
         ("p_base.csv", "sign.toml", ["relative_speed_mps has the opposite sign", "m/s here", "correct the map"]),
     ] {
         let message = load_case(file, map).expect_err("must be refused").to_string();
@@ -55,8 +55,8 @@ fn accelerations_that_contradict_the_speeds_stop_the_import() {
     let map = |unit: &str| {
         let acceleration = format!("acceleration = {{ column = \"a\", unit = \"{unit}\" }}");
         let text = format!(
-            "version = 1\nname = \"a\"\ntime.clock = {{ column = \"t\" }}\n[layout.pairs]\nspacing = {{ column = \"gap\" }}\n\
-             follower_speed = {{ column = \"v\", {acceleration} }}\nleader_speed = {{ column = \"lead\" }}\n"
+            "version = 1\nname = \"a\"\ntime.clock = {{ column = \"t\" }}\n[layout.pairs]\n\
+             spacing = {{ column = \"gap\" }}\nfollower_speed = {{ column = \"v\", {acceleration} }}\nleader_speed = {{ column = \"lead\" }}\n"
         );
         RecordingMap::from_toml(&text, Path::new("a.toml")).expect("a map")
     };

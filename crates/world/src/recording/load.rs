@@ -50,7 +50,7 @@ pub fn load_parts(
     each: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
     let error = |source| RecordingError::Read { path: path.to_owned(), source };
-    let mut file = binary::Source::open(path, progress).map_err(error)?;
+    let mut file = binary::RecordingFile::open(path, progress).map_err(error)?;
     let mut start = Vec::new();
     file.by_ref().take(binary::START_BYTES).read_to_end(&mut start).map_err(error)?;
     let spec = map.map(RecordingMap::spec);

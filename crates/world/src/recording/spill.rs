@@ -52,7 +52,7 @@ impl SpilledPoints {
 
     /// Sorts points by time, writes them to a file, and clears them.
     pub(super) fn write(&mut self, points: &mut Vec<TrackPoint>) -> io::Result<()> {
-        points.sort_by_key(|point| (point.time_ms, point.line));
+        points.sort_by_cached_key(|point| (point.time_ms, point.line));
         let mut run = TemporaryFile::create()?;
         let mut out = BufWriter::new(&run.file);
         points.drain(..).try_for_each(|point| out.write_all(&encode(&point)))?;

@@ -235,9 +235,9 @@ fn a_byte_order_mark_and_carriage_returns_change_nothing() {
 /// The end of a file may cut a number without a trace in its row, except for the missing line end.
 #[test]
 fn a_row_without_its_end_is_left_out() {
-    let rows = "7,0.0,5.0,10.0,1.0,11.25\n7,0.1,5.1,10.0,1.0,11.25\n";
+    let rows = "7,0.0,5.0,10.0,1.25,11.25\n7,0.1,5.1,10.0,1.25,11.25\n";
     for (last, samples) in
-        [("7,0.2,5.2,10.0,0.2,10.2", 2), ("7,0.2,5.2,10.0,0.2,10.2\n", 3), ("7,0.2,5.2,10.0,0.2,10.21", 3)]
+        [("7,0.2,5.2,10.0,0.2,10.2", 2), ("7,0.2,5.2,10.0,0.2,10.2\n", 3), ("7,0.2,5.2,10.0,0.21,10.21", 3)]
     {
         let text = format!("{EVENTS}{rows}{last}");
         assert_eq!(read_text(&text).expect("readable").platoons[0].time_s.len(), samples, "{text}");

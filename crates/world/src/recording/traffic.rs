@@ -98,8 +98,9 @@ pub(super) fn read(
     while let Some(point) = sorted.next().map_err(disk)? {
         if bounds.ends_before(point.time_ms) {
             let (core_ms, next_ms) = bounds.next();
-            let margin = points.split_off(points.partition_point(|known| known.time_ms < next_ms));
-            let part = std::mem::replace(&mut points, margin.clone()).into_iter().chain(margin).collect();
+            let margin = points.partition_point(|known| known.time_ms < next_ms);
+            let margin = points.get(margin..).unwrap_or_default().to_vec();
+            let part = std::mem::replace(&mut points, margin);
             if !each(parts.part(part, core_ms)?)? {
                 return Ok(());
             }

@@ -72,7 +72,7 @@ pub struct SignalSet {
     pub clocks_s: Vec<Vec<f64>>,
     /// Number of values and times.
     values: usize,
-    /// Time before which no further value is of use, in seconds.
+    /// Time from which on all further values must be, in seconds.
     from_s: Option<f64>,
 }
 
@@ -94,7 +94,7 @@ pub(super) struct SignalStream {
     blocks: Blocks,
     decoder: FrameDecoder,
     groups: Vec<DataGroup>,
-    /// Values that were read and are still of use.
+    /// Values that were read and are still needed.
     pub(super) set: SignalSet,
 }
 

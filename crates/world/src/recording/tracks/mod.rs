@@ -96,7 +96,7 @@ fn to_ms(seconds: f64) -> i64 {
 /// Sorts points by vehicle and time, and keeps the first of several points of a vehicle at one time. Returns the first
 /// duplicate and the number of duplicates.
 pub(super) fn sort(points: &mut Vec<TrackPoint>) -> Option<(TrackPoint, usize)> {
-    points.sort_unstable_by_key(|point| (point.vehicle, point.time_ms, point.line));
+    points.sort_by_cached_key(|point| (point.vehicle, point.time_ms, point.line));
     let mut duplicate: Option<(TrackPoint, usize)> = None;
     points.dedup_by(|later, first| {
         let is_twice = (later.vehicle, later.time_ms) == (first.vehicle, first.time_ms);
