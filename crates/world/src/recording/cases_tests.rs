@@ -56,7 +56,8 @@ fn accelerations_that_contradict_the_speeds_stop_the_import() {
         let acceleration = format!("acceleration = {{ column = \"a\", unit = \"{unit}\" }}");
         let text = format!(
             "version = 1\nname = \"a\"\ntime.clock = {{ column = \"t\" }}\n[layout.pairs]\n\
-             spacing = {{ column = \"gap\" }}\nfollower_speed = {{ column = \"v\", {acceleration} }}\nleader_speed = {{ column = \"lead\" }}\n"
+             spacing = {{ column = \"gap\" }}\nfollower_speed = {{ column = \"v\", {acceleration} }}\n\
+             leader_speed = {{ column = \"lead\" }}\n"
         );
         RecordingMap::from_toml(&text, Path::new("a.toml")).expect("a map")
     };
