@@ -9,17 +9,18 @@ use serde_json::json;
 
 use super::import::{load_map, parse_min_brake, render_figure};
 use super::output_folder::stage_unless_edited;
+use super::progress::read_bar;
 use super::simulate::{OutputFormat, parse_path_ending_in};
 use super::{CliError, output, value_enums};
 use crumple_core::digits;
 use crumple_core::quoting::TerminalText;
 use crumple_evidence::fit::{
-    EpisodeSample, ExtractionConfig, FamilyFit, FittedFeature, FittedSize, FittedSpace, MAX_VEHICLES, fit,
-    format_p_value,
+    EpisodeCollector, EpisodeSample, ExtractionConfig, FamilyFit, FittedFeature, FittedSize, FittedSpace, MAX_VEHICLES,
+    fit, format_p_value,
 };
 use crumple_report::figures;
 use crumple_store::disk::StagedFiles;
-use crumple_world::recording::{LeaderSelection, load};
+use crumple_world::recording::{LeaderSelection, load_parts, merge_dropped};
 use crumple_world::scenario::space::file;
 
 /// Fit a scenario space to the braking episodes of recordings
@@ -106,13 +107,21 @@ impl Fit {
             leaders: self.leaders,
         };
         ensure_distinct(&self.recordings)?;
-        let mut recordings = Vec::new();
+        let mut collector = EpisodeCollector::new(taken).map_err(CliError::input)?;
         for path in &self.recordings {
-            let recording = load(path, map.as_ref())?;
-            recording.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
-            recordings.push(recording);
+            let (bar, progress) = read_bar(quiet);
+            let (mut dropped, mut added) = (Vec::new(), Ok(()));
+            let read = load_parts(path, map.as_ref(), Some(&progress), &mut |mut part| {
+                merge_dropped(&mut dropped, std::mem::take(&mut part.dropped));
+                added = collector.add(&part);
+                Ok(added.is_ok())
+            });
+            bar.finish_and_clear();
+            read?;
+            added.map_err(CliError::input)?;
+            dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
         }
-        let sample = EpisodeSample::from_recordings(&recordings, taken).map_err(CliError::input)?;
+        let sample = collector.finish().map_err(CliError::input)?;
         let fitted = fit(&sample, &self.name, self.samples, self.seed).map_err(CliError::input)?;
         let text = file::to_toml(&fitted.space).map_err(CliError::input)?;
         let mut files = StagedFiles::default();

@@ -10,6 +10,7 @@ use serde::Serialize;
 use super::CliError;
 use super::import_openscenario::{OpenScenarioArgs, is_openscenario};
 use super::output_folder::{EarlierFiles, OutputFolder, stage_unless_edited};
+use super::progress::read_bar;
 use super::simulate::OutputFormat;
 use super::{feature, output, simulate, value_enums};
 use crumple_core::quoting::TerminalText;
@@ -17,10 +18,10 @@ use crumple_report::draw::Svg;
 use crumple_report::figures;
 use crumple_store::disk::{DiskError, StagedFiles};
 use crumple_world::recording::guess::guess;
-use crumple_world::recording::map::RecordingMap;
+use crumple_world::recording::map::{BUILT_IN_MAPS, RecordingMap};
 use crumple_world::recording::{
     ImportOptions, ImportResult, ImportedRecording, ImportedScenario, LeaderSelection, MinBrake, Preview, TextFormat,
-    hardest_braking, import, load, preview,
+    hardest_braking, import, load_first_part, preview,
 };
 
 /// Turn recorded braking episodes, or OpenSCENARIO files, into scenario files
@@ -40,8 +41,9 @@ An OpenSCENARIO file F.xosc (1.0 to 1.3) becomes a scenario on the lane of the v
 --distribution makes a scenario of each combination of values (at most 10 000), or a space of random values. \
 Unsupported content is an error with element, line and reason. A file may have 64 MiB.
 
-A recording may have 5 million rows, 20 million speeds and gaps, 200 vehicles of a platoon or 100 000 events; \
-crumple refuses larger recordings and states the line. A map may have 64 KiB. An existing scenario file stays as it \
+Recordings of any length need less than 500 MB of memory: crumple reads them in overlapping parts of about 500 000 \
+rows, and traffic through temporary files (in TMPDIR). A platoon may have 200 vehicles, a file a million events. \
+--preview and --guess read the first part. A map may have 64 KiB. An existing scenario file stays as it \
 is if it is equal; if it differs, nothing is written without --force.
 
 Examples:
@@ -141,6 +143,11 @@ impl ImportReport {
 /// Returns the built-in map of a name, or that of a file.
 pub(super) fn load_map(map: &Path) -> Result<RecordingMap, CliError> {
     let built_in = map.to_str().and_then(RecordingMap::built_in);
+    if built_in.is_none() && map.extension().is_none() && !map.exists() {
+        let names: Vec<_> = BUILT_IN_MAPS.iter().map(|(name, _)| *name).collect();
+        let problem = format!("is neither a file nor a built-in map ({})", names.join(", "));
+        return Err(CliError::at(map, problem));
+    }
     Ok(built_in.unwrap_or_else(|| RecordingMap::load(map))?)
 }
 
@@ -194,10 +201,13 @@ impl Import {
         };
         let Some(draft) = guess(path)? else {
             let problem = "no column looks like a time with spacings or positions and speeds: write a map by hand";
-            return Err(CliError::Gate(format!("{}: {problem} (docs/exchange.md)", path.display())));
+            return Err(CliError::at(path, format!("{problem} (docs/exchange.md)")));
         };
         note_text_format(path, &draft.recording.text, quiet);
         draft.recording.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
+        if let Some(name) = draft.built_in {
+            output::note(&format!("note: this is the built-in map {name}: `--map {name}` names it"), quiet);
+        }
         output::note("note: check the draft: bumpers, lengths and ids cannot be seen in the columns", quiet);
         let text = draft.map.to_toml().map_err(CliError::input)?;
         output::print_result(self.format, &draft.map, || text)
@@ -208,7 +218,7 @@ impl Import {
         let [path] = self.recordings.as_slice() else {
             return Err(CliError::Input("--preview: give only one recording".to_owned()));
         };
-        let recording = load(path, map)?;
+        let recording = load_first_part(path, map)?;
         note_text_format(path, &recording.text, quiet);
         for dropped in &recording.dropped {
             output::note(&dropped.to_string(), quiet);
@@ -259,7 +269,10 @@ impl Import {
 
     fn import(&self, map: Option<&RecordingMap>, quiet: bool) -> Result<(), CliError> {
         let (min_brake, leaders) = (parse_min_brake(self.min_brake)?, self.leaders);
-        let imported = import(&self.recordings, map, &ImportOptions { min_brake, leaders })?;
+        let (bar, progress) = read_bar(quiet);
+        let imported = import(&self.recordings, map, &ImportOptions { min_brake, leaders }, Some(&progress));
+        bar.finish_and_clear();
+        let imported = imported?;
         imported.sources.iter().for_each(|source| note_text_format(&source.path, &source.text, quiet));
         if imported.scenarios.is_empty() {
             imported.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));

@@ -1,8 +1,10 @@
 //! Progress bars on a terminal; nothing in a pipe.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use crumple_core::observer::{Listener, Observer, RunProgress};
+use crumple_world::recording::ReadProgress;
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// Creates a bar on standard error, shown only on a terminal.
@@ -31,6 +33,24 @@ pub(super) fn counter(what: &'static str, quiet: bool) -> ProgressBar {
 
 pub(super) fn depth_line(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
     progress_bar("{prefix} {spinner} {msg}", Some(total), quiet).with_prefix(what)
+}
+
+/// Returns a bar of the bytes of recordings, and the function that advances it; short recordings show none.
+pub(super) fn read_bar(quiet: bool) -> (ProgressBar, ReadProgress) {
+    const MIN_BYTES: u64 = 64 << 20;
+    let bar = progress_bar("reading {wide_bar} {bytes}/{total_bytes}, {eta} left", None, quiet);
+    let shown = bar.clone();
+    let advance = move |read: u64, total: u64| {
+        if total >= MIN_BYTES {
+            shown.set_length(total);
+            shown.set_position(read);
+        }
+    };
+    (bar, Arc::new(advance))
+}
+
+pub(super) fn replay_bar(quiet: bool) -> ProgressBar {
+    progress_bar("replay {wide_bar} {human_pos}/{human_len} s, {eta} left", Some(1), quiet)
 }
 
 pub(super) fn status_line(quiet: bool) -> ProgressBar {

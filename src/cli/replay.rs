@@ -9,13 +9,13 @@ use serde::Serialize;
 use super::fit::ensure_distinct;
 use super::import::{load_map, note_text_format, parse_min_brake};
 use super::simulate::OutputFormat;
-use super::{CliError, args, output};
+use super::{CliError, args, output, progress};
 use crumple_core::digits::format_rounded;
 use crumple_core::quoting::TerminalText;
 use crumple_evidence::exposure::IntervalEstimate;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::recording::load;
 use crumple_world::recording::replay::{ReplayedBraking, ReplayedDrive, replay};
+use crumple_world::recording::{HardestSearch, TextFormat, load_parts, merge_dropped};
 use crumple_world::sim::{NamedController, RunOptions};
 
 /// Maximum number of brakings that the text lists; the hardest ones.
@@ -105,21 +105,44 @@ impl LogReplay {
         let min_brake = parse_min_brake(self.min_brake)?.mps2();
         let options = RunOptions::new(self.controller.kind.clone()).with_estimator(EstimatorKind::Truth);
         ensure_distinct(&self.recordings)?;
-        let (mut drives, mut brakings) = (Vec::new(), Vec::new());
+        let (mut drives, mut brakings, mut empty) = (Vec::new(), Vec::new(), Vec::new());
         for path in &self.recordings {
-            let recording = load(path, map.as_ref())?;
-            note_text_format(path, &recording.text, quiet);
-            recording.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
+            let (bar, read_progress) = progress::read_bar(quiet);
             let name = path.display().to_string();
-            let replayed = replay(&recording, &options, min_brake).map_err(|error| CliError::at(path, error))?;
-            for drive in &replayed {
-                brakings.extend(drive.brakings.iter().map(|braking| BrakingReport::new(&name, drive, braking)));
+            let mut hardest = HardestSearch::default();
+            let before = drives.len();
+            let (mut dropped, mut text, mut replayed) = (Vec::new(), TextFormat::default(), Ok(()));
+            let read = load_parts(path, map.as_ref(), Some(&read_progress), &mut |mut part| {
+                merge_dropped(&mut dropped, std::mem::take(&mut part.dropped));
+                hardest.add(&part);
+                text = part.text.clone();
+                let part_bar = progress::replay_bar(quiet);
+                let advance = |done_s: f64, total_s: f64| {
+                    part_bar.set_length(total_s as u64);
+                    part_bar.set_position(done_s as u64);
+                };
+                replayed = replay(&part, &options, min_brake, &advance).map(|found| {
+                    for drive in &found {
+                        brakings.extend(drive.brakings.iter().map(|braking| BrakingReport::new(&name, drive, braking)));
+                    }
+                    drives.extend(found);
+                });
+                part_bar.finish_and_clear();
+                Ok(replayed.is_ok())
+            });
+            bar.finish_and_clear();
+            read?;
+            note_text_format(path, &text, quiet);
+            dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
+            replayed.map_err(|error| CliError::at(path, error))?;
+            if drives.len() == before {
+                empty.push(format!("{name}: {}", hardest.finish()));
             }
-            drives.extend(replayed);
         }
         self.controller.ensure_trusted().map_err(CliError::input)?;
         if drives.is_empty() {
-            return Err(CliError::Gate("no vehicle follows another for a second".to_owned()));
+            let problem = format!("no vehicle follows another for a second; {}", empty.join("; "));
+            return Err(CliError::Gate(problem));
         }
         let hours = drives.iter().map(|drive| drive.duration_s).sum::<f64>() / 3600.0;
         let kilometres = drives.iter().map(|drive| drive.distance_m).sum::<f64>() / 1000.0;
@@ -183,7 +206,7 @@ fn write_report(report: &ReplayReport, out: &mut String) -> std::fmt::Result {
         };
         let UnnecessaryReport { count, seconds, per_hour, per_100_km } = found;
         let (per_hour, per_100_km) = (rate(per_hour), per_100_km.as_ref().map_or("not defined".to_owned(), rate));
-        writeln!(out, "unnecessary braking of the {who}: {count} times, {seconds:.2} s in all")?;
+        writeln!(out, "unnecessary braking of the {who}, at any --min-brake: {count} times, {seconds:.2} s in all")?;
         writeln!(out, "  per hour {per_hour}, per 100 km {per_100_km}, at 95 %")?;
     }
     Ok(())

@@ -1,12 +1,13 @@
 //! Conversion of braking episodes to features, to which a space can be fitted.
 
-use serde::Serialize;
+use std::path::PathBuf;
 
 use super::FitError;
+use super::exclusions::ExclusionCounts;
 use super::sizes::VehicleSizes;
 use crumple_world::recording::{
-    BrakingEpisode, DroppedItem, EpisodeProblem, HardestBrakingResult, LeaderSelection, MAX_PLAUSIBLE_ACCEL_MPS2,
-    MinBrake, Omission, Recording, braking_clusters, find_episodes, following_exposure, hardest_braking,
+    BrakingEpisode, HardestBrakingResult, HardestSearch, LeaderSelection, MAX_PLAUSIBLE_ACCEL_MPS2, MinBrake,
+    Recording, braking_clusters, find_episodes, following_exposure,
 };
 use crumple_world::scenario::space::{DrivingExposure, ObservedData, ObservedParameter, SourceExposure};
 
@@ -105,65 +106,6 @@ pub(crate) fn min_episodes(numbers: usize) -> usize {
     EPISODES_PER_FEATURE * numbers
 }
 
-/// Numbers of brakings that the space does not describe.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]
-pub struct ExclusionCounts {
-    /// Without a known follower; not within the counted hours.
-    #[serde(rename = "nobody_behind")]
-    pub no_follower: usize,
-    /// With too few vehicles; not within the counted hours.
-    #[serde(rename = "shorter")]
-    pub too_few_vehicles: usize,
-    /// With speeds that no road vehicle can have.
-    #[serde(rename = "impossible")]
-    pub impossible_speeds: usize,
-    /// With a feature outside the range of the space.
-    #[serde(rename = "outside")]
-    pub out_of_range: usize,
-}
-
-impl ExclusionCounts {
-    /// Returns the number of exclusions within the counted hours.
-    #[must_use]
-    pub(crate) fn count_in_exposure(&self) -> usize {
-        self.impossible_speeds + self.out_of_range
-    }
-
-    fn add(&mut self, dropped: &DroppedItem) {
-        match dropped.omission {
-            Omission::Episode {
-                reason: EpisodeProblem::NoFollower { .. } | EpisodeProblem::NoVehicleBehind { .. },
-                ..
-            } => {
-                self.no_follower += 1;
-            }
-            Omission::Episode { .. } => self.impossible_speeds += 1,
-            _ => {}
-        }
-    }
-
-    /// Describes the exclusions in sentences, for episodes of this number of vehicles.
-    #[must_use]
-    pub fn sentences(&self, vehicles: usize) -> Vec<String> {
-        let Self { no_follower, too_few_vehicles, impossible_speeds, out_of_range } = self;
-        let mut words = Vec::new();
-        if no_follower + too_few_vehicles > 0 {
-            words.push(format!(
-                "Excluded, with their hours: {no_follower} episodes without a known follower, {too_few_vehicles} with \
-                 fewer than {vehicles} vehicles"
-            ));
-        }
-        if impossible_speeds + out_of_range > 0 {
-            words.push(format!(
-                "Excluded, but part of these hours: {impossible_speeds} episodes with impossible speeds, \
-                 {out_of_range} with values outside the ranges; rates per hour assume that they fail as often as the \
-                 others"
-            ));
-        }
-        words
-    }
-}
-
 /// Features of episodes, with the exposure of the recordings.
 #[derive(Debug, Clone, PartialEq)]
 pub struct EpisodeSample {
@@ -190,6 +132,35 @@ impl EpisodeSample {
     /// [`FitError::TooFew`] or [`FitError::TooMany`] for the number of episodes; [`FitError::Vehicles`];
     /// [`FitError::MinBrake`].
     pub fn from_recordings(recordings: &[Recording], taken: ExtractionConfig) -> Result<Self, FitError> {
+        let mut collector = EpisodeCollector::new(taken)?;
+        recordings.iter().try_for_each(|recording| collector.add(recording))?;
+        collector.finish()
+    }
+}
+
+/// Episodes of recordings, or of their parts.
+#[derive(Debug)]
+pub struct EpisodeCollector {
+    extraction: ExtractionConfig,
+    features: Vec<EpisodeFeature>,
+    clusters: Vec<u32>,
+    columns: Vec<Vec<f64>>,
+    /// Recorded lengths of each vehicle, front to rear.
+    lengths: Vec<Vec<Option<f64>>>,
+    sources: Vec<SourceExposure>,
+    /// Hardest braking of each source.
+    hardest: Vec<HardestSearch>,
+    last_path: Option<PathBuf>,
+    exclusions: ExclusionCounts,
+    out_of_range: Vec<usize>,
+}
+
+impl EpisodeCollector {
+    /// Creates a collector without episodes.
+    ///
+    /// # Errors
+    /// [`FitError::Vehicles`] and [`FitError::MinBrake`].
+    pub fn new(taken: ExtractionConfig) -> Result<Self, FitError> {
         let (vehicles, found) = (taken.vehicles, taken.min_brake.mps2());
         if !(2..=MAX_VEHICLES).contains(&vehicles) {
             return Err(FitError::Vehicles { found: vehicles });
@@ -197,14 +168,38 @@ impl EpisodeSample {
         if found >= MAX_PLAUSIBLE_ACCEL_MPS2 {
             return Err(FitError::MinBrake { found, limit: MAX_PLAUSIBLE_ACCEL_MPS2 });
         }
-        if recordings.len() > MAX_RECORDINGS {
-            return Err(FitError::TooMany { found: recordings.len(), max: MAX_RECORDINGS, what: "recordings" });
-        }
-        let mut collected = EpisodeCollector::new(taken);
-        recordings.iter().try_for_each(|recording| collected.add(recording))?;
+        let numbers = features(&taken);
+        Ok(Self {
+            extraction: taken,
+            clusters: Vec::new(),
+            columns: vec![Vec::new(); numbers.len()],
+            lengths: vec![Vec::new(); taken.vehicles],
+            sources: Vec::new(),
+            hardest: Vec::new(),
+            last_path: None,
+            exclusions: ExclusionCounts::default(),
+            out_of_range: vec![0; numbers.len()],
+            features: numbers,
+        })
+    }
+
+    /// Returns the sample.
+    ///
+    /// # Errors
+    /// [`FitError::TooFew`] or [`FitError::TooMany`] for the number of episodes.
+    pub fn finish(self) -> Result<EpisodeSample, FitError> {
         let EpisodeCollector {
-            mut features, clusters, mut columns, lengths, sources, exclusions, out_of_range, ..
-        } = collected;
+            mut features,
+            clusters,
+            mut columns,
+            lengths,
+            sources,
+            hardest,
+            exclusions,
+            out_of_range,
+            ..
+        } = self;
+        let taken = self.extraction;
         let most_out_of_range =
             features.iter().zip(&out_of_range).max_by_key(|(_, count)| **count).filter(|(_, count)| **count > 0);
         let most_out_of_range = most_out_of_range.map(|(feature, _)| feature.name.clone());
@@ -223,16 +218,16 @@ impl EpisodeSample {
                 most += &format!(", {no_follower} have no known follower, {impossible_speeds} have impossible speeds");
             }
             // A recording in which no braking is detectable looks like one without braking.
-            let mut evaluated = recordings.iter().map(|recording| (recording, hardest_braking(recording)));
-            if let Some((recording, why)) =
+            let mut evaluated = sources.iter().zip(hardest.into_iter().map(HardestSearch::finish));
+            if let Some((source, why)) =
                 evaluated.find(|(_, hardest)| !matches!(hardest, HardestBrakingResult::Braking(_)))
             {
-                most += &format!("; {}: {why}", source_name(recording));
+                most += &format!("; {}: {why}", source.name);
             }
             return Err(FitError::TooFew {
                 found,
                 needed,
-                vehicles,
+                vehicles: taken.vehicles,
                 too_few_vehicles: exclusions.too_few_vehicles,
                 out_of_range: exclusions.out_of_range,
                 details: most,
@@ -260,38 +255,14 @@ impl EpisodeSample {
             search_share: Some(SEARCH_SHARE),
             parameters: features.iter().zip(columns).map(parameter).collect(),
         };
-        Ok(Self { extraction: taken, features, observed, exposure, sizes, exclusions, most_out_of_range })
-    }
-}
-
-struct EpisodeCollector {
-    extraction: ExtractionConfig,
-    features: Vec<EpisodeFeature>,
-    clusters: Vec<u32>,
-    columns: Vec<Vec<f64>>,
-    /// Recorded lengths of each vehicle, front to rear.
-    lengths: Vec<Vec<Option<f64>>>,
-    sources: Vec<SourceExposure>,
-    exclusions: ExclusionCounts,
-    out_of_range: Vec<usize>,
-}
-
-impl EpisodeCollector {
-    fn new(taken: ExtractionConfig) -> Self {
-        let numbers = features(&taken);
-        Self {
-            extraction: taken,
-            clusters: Vec::new(),
-            columns: vec![Vec::new(); numbers.len()],
-            lengths: vec![Vec::new(); taken.vehicles],
-            sources: Vec::new(),
-            exclusions: ExclusionCounts::default(),
-            out_of_range: vec![0; numbers.len()],
-            features: numbers,
-        }
+        Ok(EpisodeSample { extraction: taken, features, observed, exposure, sizes, exclusions, most_out_of_range })
     }
 
-    fn add(&mut self, recording: &Recording) -> Result<(), FitError> {
+    /// Adds a recording, or its next part.
+    ///
+    /// # Errors
+    /// [`FitError::TooMany`].
+    pub fn add(&mut self, recording: &Recording) -> Result<(), FitError> {
         let ExtractionConfig { vehicles, min_brake, leaders } = self.extraction;
         let found = find_episodes(recording, min_brake, leaders);
         if found.episodes.len() > MAX_EPISODES {
@@ -318,13 +289,31 @@ impl EpisodeCollector {
             self.lengths.iter_mut().zip(lengths).for_each(|(known, length_m)| known.push(length_m));
         }
         let driven = following_exposure(recording, leaders, vehicles - 1);
-        self.sources.push(SourceExposure {
+        let new = SourceExposure {
             name: source_name(recording),
             episodes: (self.clusters.len() - before) as u64,
             hours: driven.hours,
             kilometres: driven.kilometres,
             undescribed_brakings: (self.exclusions.count_in_exposure() - left_out) as u64,
-        });
+        };
+        let (is_same, count) = (self.last_path.as_ref() == Some(&recording.path), self.sources.len());
+        match self.sources.last_mut().filter(|_| is_same) {
+            Some(source) => {
+                source.episodes += new.episodes;
+                source.hours += new.hours;
+                source.kilometres += new.kilometres;
+                source.undescribed_brakings += new.undescribed_brakings;
+            }
+            None if count >= MAX_RECORDINGS => {
+                return Err(FitError::TooMany { found: count + 1, max: MAX_RECORDINGS, what: "recordings" });
+            }
+            None => {
+                self.last_path = Some(recording.path.clone());
+                self.sources.push(new);
+                self.hardest.push(HardestSearch::default());
+            }
+        }
+        self.hardest.iter_mut().last().into_iter().for_each(|search| search.add(recording));
         Ok(())
     }
 }

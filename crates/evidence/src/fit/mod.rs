@@ -9,6 +9,7 @@ mod base;
 mod dependence;
 mod episodes;
 mod error;
+mod exclusions;
 mod family;
 mod fitted_space;
 mod goodness;
@@ -20,8 +21,9 @@ mod space;
 #[cfg(test)]
 mod tests;
 
-pub use episodes::{EpisodeFeature, EpisodeSample, ExclusionCounts, ExtractionConfig, MAX_VEHICLES};
+pub use episodes::{EpisodeCollector, EpisodeFeature, EpisodeSample, ExtractionConfig, MAX_VEHICLES};
 pub use error::FitError;
+pub use exclusions::ExclusionCounts;
 pub use family::{DistributionFamily, FamilyFit, FamilyFitError};
 pub use fitted_space::{FittedFeature, FittedSize, FittedSpace, fit};
 pub use goodness::{GoodnessOfFit, Tails, format_p_value};

@@ -389,7 +389,8 @@ impl PlanLoader<'_> {
     fn import_recordings(&self, config: &AssessConfig) -> Result<ImportResult, AssessConfigError> {
         let wrong = |problem: String| self.field_error("recordings", problem);
         let paths: Vec<_> = config.recordings.iter().map(|named| self.folder.join(named)).collect();
-        let imported = import(&paths, None, &ImportOptions::default()).map_err(|error| wrong(error.to_string()))?;
+        let imported =
+            import(&paths, None, &ImportOptions::default(), None).map_err(|error| wrong(error.to_string()))?;
         match imported.sources.iter().find(|source| source.scenarios == 0) {
             Some(empty) => Err(wrong(format!(
                 "{}: the recording has no braking episode that fits a scenario",

@@ -1,15 +1,20 @@
 //! Recordings that are no text: Parquet and MDF 4.
 
 use std::fs::File;
-use std::io::Read;
+use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
+use super::ReadProgress;
 use super::error::{BinaryProblem, RecordingError};
 use super::map::RecordingMapSpec;
 use super::table::RowReader;
 
 /// Number of bytes that show the format of a file.
 pub(super) const START_BYTES: u64 = 8;
+
+/// Number of names that an error lists.
+#[cfg(any(feature = "mdf", feature = "parquet"))]
+pub(super) const MAX_LISTED: usize = 30;
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(super) enum BinaryFormat {
@@ -19,13 +24,63 @@ pub(super) enum BinaryFormat {
 
 /// A file, or its bytes.
 pub(super) enum Input {
-    File(File),
+    File(RecordingFile),
     Bytes(Vec<u8>),
 }
 
-impl From<File> for Input {
-    fn from(file: File) -> Self {
-        Self::File(file)
+/// A file that reports the progress of reading.
+pub(super) struct RecordingFile {
+    file: File,
+    length: u64,
+    read: u64,
+    progress: Option<ReadProgress>,
+}
+
+impl RecordingFile {
+    pub(super) fn open(path: &Path, progress: Option<&ReadProgress>) -> io::Result<Self> {
+        let file = File::open(path)?;
+        let length = file.metadata()?.len();
+        Ok(Self { file, length, read: 0, progress: progress.cloned() })
+    }
+
+    fn report(&self, read: u64) {
+        self.progress.iter().for_each(|report| report(read.min(self.length), self.length));
+    }
+}
+
+impl Read for RecordingFile {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        let count = self.file.read(into)?;
+        self.read += count as u64;
+        self.report(self.read);
+        Ok(count)
+    }
+}
+
+impl Seek for RecordingFile {
+    fn seek(&mut self, to: SeekFrom) -> io::Result<u64> {
+        self.file.seek(to)
+    }
+}
+
+#[cfg(feature = "parquet")]
+impl parquet::file::reader::Length for RecordingFile {
+    fn len(&self) -> u64 {
+        self.length
+    }
+}
+
+#[cfg(feature = "parquet")]
+impl parquet::file::reader::ChunkReader for RecordingFile {
+    type T = <File as parquet::file::reader::ChunkReader>::T;
+
+    fn get_read(&self, start: u64) -> parquet::errors::Result<Self::T> {
+        self.report(start);
+        self.file.get_read(start)
+    }
+
+    fn get_bytes(&self, start: u64, length: usize) -> parquet::errors::Result<bytes::Bytes> {
+        self.file.get_bytes(start, length)
     }
 }
 
@@ -45,7 +100,7 @@ impl BinaryFormat {
 /// Returns the names of the columns or signals of a file; `time` for the clocks of an MDF file.
 pub(super) fn column_names(path: &Path) -> Result<Vec<String>, RecordingError> {
     let error = |source| RecordingError::Read { path: path.to_owned(), source };
-    let open_file = || File::open(path).map_err(error);
+    let open_file = || RecordingFile::open(path, None).map_err(error);
     let mut start = Vec::new();
     open_file()?.take(START_BYTES).read_to_end(&mut start).map_err(error)?;
     let mut rows = match BinaryFormat::detect(&start) {
@@ -60,7 +115,7 @@ pub(super) fn column_names(path: &Path) -> Result<Vec<String>, RecordingError> {
             read.map_err(|problem| RecordingError::Binary { path: path.to_owned(), problem: problem.into() })?;
             return Ok(names.into_inner());
         }
-        Some(format) => open(format, open_file()?, path, None)?,
+        Some(format) => open(format, Input::File(open_file()?), path, None)?,
         None => RowReader::new(open_file()?, path, None)?,
     };
     let names = rows.next_header()?.ok_or_else(|| RecordingError::Empty { path: path.to_owned() })?;
@@ -70,11 +125,10 @@ pub(super) fn column_names(path: &Path) -> Result<Vec<String>, RecordingError> {
 /// Returns the rows of a file for the columns of a map.
 pub(super) fn open<'a>(
     format: BinaryFormat,
-    input: impl Into<Input>,
+    input: Input,
     path: &'a Path,
     map: Option<&RecordingMapSpec>,
 ) -> Result<RowReader<'a>, RecordingError> {
-    let input = input.into();
     let opened = match format {
         BinaryFormat::Parquet => open_parquet(input, path, map),
         BinaryFormat::Mdf => open_mdf(input, path, map),
@@ -102,18 +156,42 @@ fn open_parquet<'a>(_: Input, _: &'a Path, _: Option<&RecordingMapSpec>) -> Resu
 
 #[cfg(feature = "mdf")]
 fn open_mdf<'a>(input: Input, path: &'a Path, map: Option<&RecordingMapSpec>) -> Result<RowReader<'a>, BinaryProblem> {
-    use super::mdf::DbcFile;
+    use super::mdf::{DbcFile, SignalStream};
     let map = map.ok_or(BinaryProblem::NeedsMap)?;
-    let (wanted, dbc) = (
-        |name: &str| map.column_role(name).is_some_and(|role| !role.is_clock),
-        map.dbc.as_deref().map(DbcFile::load).transpose()?,
-    );
+    let known = std::cell::RefCell::new(Vec::new());
+    let wanted = |name: &str| {
+        if known.borrow().len() < MAX_LISTED {
+            known.borrow_mut().push(name.to_owned());
+        }
+        map.column_role(name).is_some_and(|role| !role.is_clock)
+    };
+    let dbc = map.dbc.as_deref().map(DbcFile::load).transpose()?;
     let signals = match input {
-        Input::File(file) => super::mdf::SignalSet::read(file, dbc.as_ref(), &wanted),
-        Input::Bytes(bytes) => super::mdf::SignalSet::read(std::io::Cursor::new(bytes), dbc.as_ref(), &wanted),
+        Input::File(file) => SignalStream::open(file, dbc.as_ref(), &wanted),
+        Input::Bytes(bytes) => SignalStream::open(std::io::Cursor::new(bytes), dbc.as_ref(), &wanted),
     }?;
     let (rows, names) = super::signal_rows::ResampledSignals::new(signals, map);
+    check_columns(map, &names, &known.into_inner())?;
     Ok(RowReader::from_binary(Box::new(rows), names, path))
+}
+
+/// Checks that a file has the columns of a map, beside numbered ones.
+#[cfg(any(feature = "mdf", feature = "parquet"))]
+pub(super) fn check_columns(
+    map: &RecordingMapSpec,
+    names: &super::text_rows::Fields,
+    known: &[String],
+) -> Result<(), BinaryProblem> {
+    let is_missing = |column: &str| !column.contains("{}") && names.iter().all(|name| name != column);
+    match map.columns().into_iter().find(|(_, column)| is_missing(column)) {
+        Some((_, column)) => {
+            let more = if known.len() < MAX_LISTED { "" } else { ", ..." };
+            let known: Vec<_> = known.iter().take(MAX_LISTED).map(|name| super::table::excerpt(name)).collect();
+            let known = format!("{}{more}", known.join(", "));
+            Err(BinaryProblem::MissingColumn { column: column.to_owned(), known })
+        }
+        None => Ok(()),
+    }
 }
 
 #[cfg(not(feature = "mdf"))]

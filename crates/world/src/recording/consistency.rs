@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::dropped::{DroppedItem, Omission};
+use super::dropped::{DroppedItem, Omission, format_fixed};
 use super::error::{ColumnProblem, LineProblem, RecordingError};
 use super::map::{TimeSpec, TimeUnit};
 use super::table::RowReader;
@@ -29,16 +29,19 @@ const EXPLAINED_SHARE: f64 = 0.25;
 pub struct ColumnContradiction {
     /// Columns, as nouns.
     pub columns: [String; 2],
-    /// Rate by each of them, in m/s, where their difference is the median.
-    pub rates_mps: [f64; 2],
+    /// Rate by each of them, where their difference is the median.
+    pub rates: [f64; 2],
+    /// Unit of the rates.
+    pub unit: &'static str,
     /// Likely reason.
     pub reason: Option<String>,
 }
 
 impl fmt::Display for ColumnContradiction {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Self { columns: [first, second], rates_mps: [first_mps, second_mps], reason } = self;
-        write!(out, "{first} is {first_mps:.1} m/s here, but {second} is {second_mps:.1} m/s")?;
+        let Self { columns: [first, second], rates, unit, reason } = self;
+        let [first_rate, second_rate] = rates.map(|rate| format_fixed(rate, 1));
+        write!(out, "{first} is {first_rate} {unit} here, but {second} is {second_rate} {unit}")?;
         match reason {
             Some(reason) => write!(out, ": {reason}"),
             None => out.write_str(", and no other unit or sign explains this"),
@@ -101,6 +104,8 @@ pub(super) struct Comparison {
     integrals_m: [f64; 2],
     /// True if the direction of the change is unknown.
     is_undirected: bool,
+    /// True for speeds and accelerations.
+    is_of_speeds: bool,
 }
 
 #[derive(Clone, Copy)]
@@ -114,6 +119,11 @@ struct Sample {
 impl Comparison {
     pub(super) fn undirected() -> Self {
         Self { is_undirected: true, ..Self::default() }
+    }
+
+    /// Compares speeds, as levels, with accelerations.
+    pub(super) fn of_speeds() -> Self {
+        Self { is_of_speeds: true, ..Self::default() }
     }
 
     /// Ends the current window, for another vehicle.
@@ -155,6 +165,7 @@ impl Comparison {
     /// Returns the contradiction, its line, and whether a unit or a sign explains it.
     fn find(&self, columns: [&str; 2], hypotheses: &[Hypothesis]) -> Option<(ColumnContradiction, u64, bool)> {
         const GIVEN: [f64; 3] = [1.0; 3];
+        let unit = if self.is_of_speeds { "m/s²" } else { "m/s" };
         let is_telling = |window: &&Window| {
             window.rates(GIVEN).iter().any(|rate_mps| (rate_mps * window.seconds).abs() >= MIN_CHANGE_M)
         };
@@ -191,7 +202,7 @@ impl Comparison {
             let explains = |(one, &error): (&'_ Hypothesis, &f64)| (error <= best + 0.03).then(|| one.reason.clone());
             Some(hypotheses.iter().zip(&relative).filter_map(explains).collect::<Vec<_>>().join(", or "))
         } else if median(&|window| (difference(window, GIVEN) - offset_mps).abs()) <= EXPLAINED_SHARE * given_mps {
-            Some(format!("this looks like an offset of {offset_mps:.1} m/s"))
+            Some(format!("this looks like an offset of {} {unit}", format_fixed(offset_mps, 1)))
         } else if given_mps > MIN_UNEXPLAINED_MPS.max(MIN_UNEXPLAINED * scale_mps) {
             None
         } else {
@@ -199,8 +210,8 @@ impl Comparison {
         };
         let nearness = |window: &&&Window| (difference(window, GIVEN).abs() - given_mps).abs();
         let typical = windows.iter().min_by(|a, b| nearness(a).total_cmp(&nearness(b)))?;
-        let (columns, rates_mps) = (columns.map(str::to_owned), typical.rates(GIVEN));
-        Some((ColumnContradiction { columns, rates_mps, reason }, typical.line, is_explained))
+        let (columns, rates) = (columns.map(str::to_owned), typical.rates(GIVEN));
+        Some((ColumnContradiction { columns, rates, unit, reason }, typical.line, is_explained))
     }
 
     /// Reports a contradiction of two columns, of which `field` is probably wrong. Returns whether they agree.

@@ -148,8 +148,11 @@ pub enum Omission {
     },
     /// Gaps whose change contradicts the closing speed.
     #[error(
-        "the gap changes by {change_m:.1} m within {seconds:.2} s here, but the speeds by {driven_m:.1} m: the sensor \
-        switched to another target; of {count} such places each begins another pair"
+        "the gap changes by {} m within {} s here, but the speeds by {} m: the sensor switched to another target; of \
+         {count} such places each begins another pair",
+        format_fixed(*change_m, 1),
+        format_fixed(*seconds, 2),
+        format_fixed(*driven_m, 1)
     )]
     TargetSwitches {
         /// Change of the gap at the first place, in metres.
@@ -206,6 +209,9 @@ pub enum Omission {
         /// Error of the first row, in m/s.
         first_error_mps: f64,
     },
+    /// A last row without line end, whose last number is shorter than the one above it.
+    #[error("the file ends within this line, so it was left out")]
+    CutRow,
     /// A braking episode without a scenario.
     #[error("vehicle {number} brakes at {onset_s} s, but the episode was left out: {reason}")]
     Episode {
@@ -218,7 +224,37 @@ pub enum Omission {
     },
 }
 
-fn format_fixed(number: f64, decimals: usize) -> String {
+impl Omission {
+    /// Adds an omission of another part of the recording, if it is of the same kind and column.
+    pub(super) fn absorb(&mut self, other: &mut Self) -> bool {
+        let is_alike = match (&*self, &*other) {
+            (Self::Interpolated { column: a, .. }, Self::Interpolated { column: b, .. }) => a == b,
+            (Self::ColumnsContradict(a), Self::ColumnsContradict(b)) => return a.columns == b.columns,
+            (a, b) => std::mem::discriminant(a) == std::mem::discriminant(b),
+        };
+        match (self.count(), other.count()) {
+            (Some(count), Some(more)) if is_alike => *count += *more,
+            _ => return false,
+        }
+        true
+    }
+
+    fn count(&mut self) -> Option<&mut usize> {
+        match self {
+            Self::DuplicateRows { count, .. }
+            | Self::TracksSplit { count, .. }
+            | Self::LaneBlips { count, .. }
+            | Self::AbsentVehicles { count }
+            | Self::TargetSwitches { count, .. }
+            | Self::Overlapping { count }
+            | Self::UnknownPosition { count }
+            | Self::Interpolated { count, .. } => Some(count),
+            _ => None,
+        }
+    }
+}
+
+pub(super) fn format_fixed(number: f64, decimals: usize) -> String {
     if number.abs() < 1e9 { format!("{number:.decimals$}") } else { format_compact(number) }
 }
 

@@ -83,6 +83,9 @@ pub fn find_episodes(recording: &Recording, min_brake: MinBrake, leaders: Leader
             let brakings = find_brakings(&run, min_brake.mps2());
             let next_onsets = brakings.iter().skip(1).map(|next| Some(next.onset_ms)).chain([None]);
             for (braking, next_onset_ms) in brakings.iter().zip(next_onsets) {
+                if !lead.core_ms().contains(&braking.onset_ms) {
+                    continue;
+                }
                 let window = EpisodeWindow { lead: &*lead, run: &run, braking, next_onset_ms };
                 window.extract(recording, leaders, &mut found);
             }

@@ -18,10 +18,24 @@ pub enum RecordingError {
         /// Error of the system.
         source: io::Error,
     },
+    /// A temporary file of a long recording that could not be written or read.
+    #[error("{}: a temporary file of the recording: {source}", path.display())]
+    Spill {
+        /// Path of the recording.
+        path: PathBuf,
+        /// Error of the system.
+        source: io::Error,
+    },
     /// An empty file.
     #[error("{}: the recording is empty", path.display())]
     Empty {
         /// Path of the file.
+        path: PathBuf,
+    },
+    /// A recording of several parts, where only one is possible.
+    #[error("{}: the recording is too long for this use: split it", path.display())]
+    TooLong {
+        /// Path of the recording.
         path: PathBuf,
     },
     /// An invalid line.
@@ -84,6 +98,14 @@ pub enum BinaryProblem {
     /// An MDF file without map.
     #[error("an MDF file needs a map that names its signals (--map); `crumple import --guess` drafts one")]
     NeedsMap,
+    /// No column or signal of a name.
+    #[error("{column}: there is no such column or signal; the file has {known}")]
+    MissingColumn {
+        /// Wanted name.
+        column: String,
+        /// Names in the file, truncated.
+        known: String,
+    },
     /// A damaged or unsupported MDF file, or a wrong DBC file.
     #[cfg(feature = "mdf")]
     #[error(transparent)]
@@ -165,10 +187,12 @@ pub enum ColumnProblem {
         found: usize,
     },
     /// A field that is not a finite number.
-    #[error("must be a finite number or empty, found `{found}`")]
+    #[error("must be a finite number or empty, found `{found}`{hint}")]
     NotANumber {
         /// Text of the field.
         found: String,
+        /// Setting of the map that would make it a number.
+        hint: &'static str,
     },
     /// A field that is not a time stamp, in a column of them.
     #[error("must be an ISO 8601 time stamp, as in the first row, found `{found}`")]

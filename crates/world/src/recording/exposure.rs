@@ -39,6 +39,7 @@ pub fn following_exposure(recording: &Recording, leaders: LeaderSelection, follo
             for (samples, speeds) in run.windows(2).zip(speeds.windows(2)) {
                 if let ([from, to], [Some(a), Some(b)]) = (samples, speeds)
                     && to.time_ms <= until_ms
+                    && lead.core_ms().contains(&from.time_ms)
                 {
                     let seconds = (to.time_ms - from.time_ms) as f64 / 1000.0;
                     sum.hours += seconds / 3600.0;

@@ -9,17 +9,53 @@ use super::map::{
     RecordingMapSpec, ReferencePoint, RelativeSpeedSpec, Sign, Spacing, SpacingSpec, SpeedSpec, SpeedUnit, TimeSpec,
     TimeUnit, TracksSpec,
 };
-use super::{LineProblem, Recording, binary, load};
+use super::{LineProblem, Recording, binary, load_first_part};
 
 /// Words in the names of columns, in lower case.
 const TIMES: &[&str] = &["time", "timestamp", "t", "zeit", "sec", "seconds"];
-const SPACINGS: &[&str] = &["gap", "spacing", "distance", "dist", "range", "clearance", "headway", "abstand"];
-const RELATIVE: &[&str] = &["rel", "relative", "closing", "rangerate", "dv", "deltav", "relspeed", "relativespeed"];
-const SPEEDS: &[&str] = &["speed", "velocity", "vel", "v", "geschwindigkeit", "mps", "kmh", "kph", "mph", "xvelocity"];
-const LEADERS: &[&str] = &["lead", "leader", "target", "front", "preceding", "ahead", "object", "obj", "tgt"];
-const VEHICLES: &[&str] = &["id", "vehicle", "track", "trackid", "vehicleid"];
+const SPACINGS: &[&str] =
+    &["gap", "spacing", "distance", "dist", "range", "clearance", "headway", "abstand", "d", "dx"];
+const RELATIVE: &[&str] = &["rel", "relative", "relativ", "closing", "rangerate", "dv", "deltav", "vrel", "differenz"];
+const SPEEDS: &[&str] = &[
+    "speed",
+    "velocity",
+    "vel",
+    "v",
+    "geschwindigkeit",
+    "mps",
+    "kmh",
+    "kph",
+    "mph",
+    "xvelocity",
+    "vego",
+    "vl",
+    "vf",
+    "vlead",
+    "vrel",
+    "tempo",
+];
+const LEADERS: &[&str] = &[
+    "lead",
+    "leader",
+    "target",
+    "front",
+    "preceding",
+    "ahead",
+    "object",
+    "obj",
+    "tgt",
+    "vl",
+    "vlead",
+    "vorn",
+    "vorne",
+    "voraus",
+    "vorausfahrend",
+    "ziel",
+    "objekt",
+];
+const VEHICLES: &[&str] = &["id", "vehicle", "track", "trackid", "vehicleid", "fahrzeug"];
 const EVENTS: &[&str] = &["event", "eventid", "episode", "episodeid"];
-const LANES: &[&str] = &["lane", "laneid"];
+const LANES: &[&str] = &["lane", "laneid", "spur", "fahrstreifen"];
 const POSITIONS: &[&str] = &["x", "y", "pos", "position", "s", "station", "localy"];
 const LENGTHS: &[&str] = &["length", "len"];
 
@@ -28,7 +64,9 @@ const LENGTHS: &[&str] = &["length", "len"];
 pub struct MapDraft {
     /// The map.
     pub map: RecordingMapSpec,
-    /// The recording, read with it.
+    /// Name of the built-in map, if it is one.
+    pub built_in: Option<&'static str>,
+    /// The recording, or its first part, read with it.
     pub recording: Recording,
 }
 
@@ -43,7 +81,9 @@ impl Columns {
 
     fn find_both(&self, words: &[&str], others: &[&str], without: &[&[&str]]) -> Option<&String> {
         let fits = |(_, found): &&(String, Vec<String>)| {
-            let has = |words: &[&str]| found.iter().any(|word| words.contains(&word.as_str()));
+            // Long words are also found within compounds.
+            let is = |word: &str, wanted: &str| word == wanted || wanted.len() > 5 && word.contains(wanted);
+            let has = |words: &[&str]| found.iter().any(|word| words.iter().any(|wanted| is(word, wanted)));
             has(words) && has(others) && !without.iter().any(|not| has(not))
         };
         self.0.iter().find(fits).map(|(name, _)| name)
@@ -108,13 +148,13 @@ fn candidates(columns: &Columns) -> Vec<RecordingMapSpec> {
             let (Some(speed_unit), Some(unit)) = (unit_named(speed_unit), unit_named(unit)) else {
                 continue;
             };
-            let speed = |column: &String| SpeedSpec { column: column.clone(), unit: speed_unit };
+            let speed = |column: &String| SpeedSpec { column: column.clone(), unit: speed_unit, acceleration: None };
             let from = Spacing::BumperToBumper;
             let mut add = |layout| {
                 let time = TimeSpec::Clock(ClockSpec { column: time.clone(), unit: time_unit });
                 maps.push(RecordingMapSpec::new("draft".to_owned(), time, layout));
             };
-            let vehicle = columns.find(VEHICLES, &[LANES, TIMES]);
+            let vehicle = columns.find(VEHICLES, &[LANES, TIMES, SPEEDS, SPACINGS, LENGTHS, POSITIONS]);
             if let (Some(vehicle), Some(position), Some(own)) = (vehicle, position, own) {
                 let length = columns.find(LENGTHS, &[]).cloned().map(|name| LengthColumnSpec { name, unit });
                 add(LayoutSpec::Tracks(TracksSpec {
@@ -155,17 +195,26 @@ fn candidates(columns: &Columns) -> Vec<RecordingMapSpec> {
 /// [`RecordingError`] for a file that cannot be read with any map.
 pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
     let names = binary::column_names(path)?;
+    let built_in = match names.first().map(String::as_str) {
+        Some("Date") => Some("openacc"),
+        _ => RecordingMap::recognise(names.iter().map(String::as_str)),
+    };
+    if let Some(Ok(map)) = built_in.and_then(RecordingMap::built_in)
+        && let Ok(recording) = load_first_part(path, Some(&map))
+    {
+        return Ok(Some(MapDraft { map: map.spec().clone(), built_in, recording }));
+    }
     let columns = Columns(names.into_iter().map(|name| (name.clone(), words(&name))).collect());
     let mut second_choice = None;
     for map in candidates(&columns) {
         let Ok(checked) = RecordingMap::new(map.clone()) else { continue };
-        match load(path, Some(&checked)) {
+        match load_first_part(path, Some(&checked)) {
             Ok(recording) => {
                 let contradicts = |what: &Omission| {
                     matches!(what, Omission::ColumnsContradict(_) | Omission::SpeedsContradict { .. })
                 };
                 let is_consistent = !recording.dropped.iter().any(|dropped| contradicts(&dropped.omission));
-                let draft = MapDraft { map, recording };
+                let draft = MapDraft { map, built_in: None, recording };
                 if is_consistent {
                     return Ok(Some(draft));
                 }

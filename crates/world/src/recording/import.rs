@@ -6,11 +6,11 @@ use std::path::{Path, PathBuf};
 use crate::scenario::{Scenario, file::to_toml};
 
 use super::dropped::{DroppedItem, EpisodeProblem, Omission};
-use super::episodes::{LeaderSelection, MinBrake, find_episodes};
+use super::episodes::{FoundEpisodes, LeaderSelection, MinBrake, find_episodes};
 use super::error::RecordingError;
 use super::map::RecordingMap;
-use super::preview::{HardestBrakingResult, hardest_braking};
-use super::{Recording, RecordingFormat, TextFormat, load};
+use super::preview::{HardestBrakingResult, HardestSearch};
+use super::{ReadProgress, Recording, RecordingFormat, TextFormat, load_parts, merge_dropped};
 
 const MAX_FILE_STEM_CHARS: usize = 100;
 
@@ -71,29 +71,46 @@ pub fn import(
     paths: &[PathBuf],
     map: Option<&RecordingMap>,
     options: &ImportOptions,
+    progress: Option<&ReadProgress>,
 ) -> Result<ImportResult, RecordingError> {
     let mut imported = ImportResult::default();
     let mut numbers = BTreeMap::new();
     for path in paths {
-        let recording = load(path, map)?;
-        let number = numbers.entry(prefix(&recording)).or_insert(0);
-        imported.add_recording(&recording, options, number)?;
+        let mut source: Option<ImportedRecording> = None;
+        let (mut hardest, before) = (HardestSearch::default(), imported.scenarios.len());
+        let (mut dropped, mut left_out) = (Vec::new(), Vec::new());
+        load_parts(path, map, progress, &mut |mut part| {
+            merge_dropped(&mut dropped, std::mem::take(&mut part.dropped));
+            hardest.add(&part);
+            let number = numbers.entry(prefix(&part)).or_insert(0);
+            left_out.extend(imported.add_part(&part, options, number)?);
+            source = Some(ImportedRecording {
+                path: path.clone(),
+                format: part.format,
+                text: part.text,
+                scenarios: imported.scenarios.len() - before,
+                hardest: HardestBrakingResult::NoSpeed,
+            });
+            Ok(true)
+        })?;
+        imported.dropped.extend(dropped.into_iter().chain(left_out));
+        let hardest = hardest.finish();
+        imported.sources.extend(source.map(|source| ImportedRecording { hardest, ..source }));
     }
     Ok(imported)
 }
 
 impl ImportResult {
-    fn add_recording(
+    /// Adds the scenarios of a part of a recording. Returns the episodes without scenario.
+    fn add_part(
         &mut self,
         recording: &Recording,
         options: &ImportOptions,
         number: &mut usize,
-    ) -> Result<(), RecordingError> {
-        let found = find_episodes(recording, options.min_brake, options.leaders);
-        self.dropped.extend(recording.dropped.iter().cloned().chain(found.dropped));
+    ) -> Result<Vec<DroppedItem>, RecordingError> {
+        let FoundEpisodes { episodes, mut dropped } = find_episodes(recording, options.min_brake, options.leaders);
         let file = recording.path.file_name().unwrap_or_default().to_string_lossy();
-        let before = self.scenarios.len();
-        for episode in &found.episodes {
+        for episode in &episodes {
             let name = format!("{}-{:02}", prefix(recording), *number + 1);
             match episode.scenario(name.clone(), &file) {
                 Ok(scenario) => {
@@ -108,18 +125,11 @@ impl ImportResult {
                     let number = episode.vehicles.first().map_or(0, |leader| leader.number);
                     let onset_s = episode.start_s + episode.onset_s;
                     let what = Omission::Episode { number, onset_s, reason: EpisodeProblem::Invalid(invalid) };
-                    self.dropped.push(DroppedItem { path: recording.path.clone(), line: episode.line, omission: what });
+                    dropped.push(DroppedItem { path: recording.path.clone(), line: episode.line, omission: what });
                 }
             }
         }
-        self.sources.push(ImportedRecording {
-            path: recording.path.clone(),
-            format: recording.format.clone(),
-            text: recording.text.clone(),
-            scenarios: self.scenarios.len() - before,
-            hardest: hardest_braking(recording),
-        });
-        Ok(())
+        Ok(dropped)
     }
 }
 

@@ -1,5 +1,7 @@
 //! Leaders of episodes and the vehicles around them.
 
+use std::ops::Range;
+
 use super::RecordedPlatoon;
 use super::episode::EpisodeVehicle;
 use super::motion::{SpeedSample, platoon_segments};
@@ -33,6 +35,8 @@ pub(super) trait LeadVehicle {
     fn vehicle_ahead_at(&self, sample: &SpeedSample) -> VehicleAhead;
     fn line_of(&self, sample: &SpeedSample) -> u64;
     fn event(&self) -> Option<&str>;
+    /// Returns the times at which braking belongs to this part of the recording.
+    fn core_ms(&self) -> Range<i64>;
 }
 
 /// A vehicle of a platoon, whose order never changes.
@@ -99,5 +103,9 @@ impl LeadVehicle for PlatoonLead<'_> {
 
     fn event(&self) -> Option<&str> {
         self.platoon.event.as_deref()
+    }
+
+    fn core_ms(&self) -> Range<i64> {
+        self.platoon.core_ms.clone()
     }
 }

@@ -1,6 +1,7 @@
 //! One motion in several layouts and units yields equal episodes; map errors name their line.
 
 use std::fmt::Write as _;
+use std::path::Path;
 
 use proptest::prelude::*;
 

@@ -6,7 +6,10 @@
 //! and car-following events (pairs cut out of traffic recordings such as NGSIM). [`find_episodes`] finds the brakings
 //! of a [`Recording`]; [`import()`] converts each episode to a scenario and lists the dropped parts.
 
+mod acceleration;
 mod binary;
+#[cfg(test)]
+mod cases_tests;
 mod consistency;
 mod dropped;
 mod episode;
@@ -16,6 +19,7 @@ mod exposure;
 pub mod guess;
 mod import;
 mod lead_vehicles;
+mod load;
 pub mod map;
 #[cfg(test)]
 mod map_tests;
@@ -25,28 +29,36 @@ mod motion;
 #[cfg(test)]
 mod motion_tests;
 mod number;
+mod pair_checks;
 mod pairs;
 #[cfg(feature = "parquet")]
 mod parquet_rows;
+mod parts;
+#[cfg(test)]
+mod parts_tests;
+mod platoon_columns;
 mod platoons;
 mod preview;
 pub mod replay;
+#[cfg(test)]
+mod replay_tests;
 mod series;
 #[cfg(feature = "mdf")]
 mod signal_rows;
+mod spill;
 mod table;
 mod target_switches;
 #[cfg(test)]
 mod tests;
 mod text;
+mod text_rows;
 #[cfg(test)]
 mod text_tests;
 mod tracks;
 mod traffic;
 
-use std::fs::File;
-use std::io::{Cursor, Read};
-use std::path::{Path, PathBuf};
+use std::ops::Range;
+use std::path::PathBuf;
 
 pub use consistency::ColumnContradiction;
 pub use dropped::{DroppedItem, EpisodeProblem, Omission};
@@ -56,11 +68,12 @@ pub use error::{BinaryProblem, ColumnProblem, LineProblem, RecordingError};
 pub use exposure::{FollowingExposure, braking_clusters, following_exposure};
 pub use import::{ImportOptions, ImportResult, ImportedRecording, ImportedScenario, import};
 pub use lead_vehicles::VehicleAhead;
+pub use load::{ReadProgress, load, load_first_part, load_parts, read, read_bytes};
 
 use lead_vehicles::{LeadVehicle, PlatoonLead};
-use map::{LayoutSpec, RecordingMap, RecordingMapSpec};
-pub use preview::{HardestBraking, HardestBrakingResult, Preview, SpeedLine, hardest_braking, preview};
-use table::{CsvRow, RowReader};
+use map::RecordingMapSpec;
+pub use parts::{PartSink, merge_dropped};
+pub use preview::{HardestBraking, HardestBrakingResult, HardestSearch, Preview, SpeedLine, hardest_braking, preview};
 pub use text::TextFormat;
 pub use tracks::RecordedTraffic;
 
@@ -126,6 +139,8 @@ pub struct RecordedPlatoon {
     /// Vehicles, front to rear.
     pub vehicles: Vec<RecordedVehicle>,
     gaps_m: Vec<Vec<Option<f64>>>,
+    /// Times at which braking belongs to this part of the recording.
+    core_ms: Range<i64>,
 }
 
 impl RecordedPlatoon {
@@ -157,99 +172,5 @@ pub struct RecordedVehicle {
 impl RecordedVehicle {
     fn speed_at_mps(&self, sample: usize) -> Option<f64> {
         self.speed_mps.get(sample).copied().flatten()
-    }
-}
-
-/// Reads a recording file with any extension: text, or Parquet or MDF 4 if the build has the features `parquet` and
-/// `mdf`. The columns are those of `map`, or of the built-in map that matches the first line.
-///
-/// # Errors
-/// [`RecordingError`] for a file that cannot be read, is of neither built-in format, lacks a column of its map, is
-/// truncated, or holds a field that is not a number. Missing and impossible values are no errors: they are in
-/// [`Recording::dropped`].
-pub fn load(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
-    let error = |source| RecordingError::Read { path: path.to_owned(), source };
-    let mut file = File::open(path).map_err(error)?;
-    let mut start = Vec::new();
-    file.by_ref().take(binary::START_BYTES).read_to_end(&mut start).map_err(error)?;
-    match binary::BinaryFormat::detect(&start) {
-        Some(format) => read_rows(binary::open(format, file, path, map.map(RecordingMap::spec))?, path, map),
-        None => read(Cursor::new(start).chain(file), path, map),
-    }
-}
-
-/// Reads the bytes of a recording file; `path` only names it.
-///
-/// # Errors
-/// Those of [`load`], except for reading the file.
-pub fn read_bytes(bytes: &[u8], path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
-    match binary::BinaryFormat::detect(bytes) {
-        Some(format) => {
-            let bytes = binary::Input::Bytes(bytes.to_vec());
-            read_rows(binary::open(format, bytes, path, map.map(RecordingMap::spec))?, path, map)
-        }
-        None => read(bytes, path, map),
-    }
-}
-
-/// Reads a text recording from a stream; `path` only names it.
-///
-/// Memory is bounded: the function fails for lines above a mebibyte, and for more than 5 million rows, 20 million
-/// speeds and gaps, 200 vehicles of a platoon or 100 000 events. Ignores a byte order mark and carriage returns before
-/// line feeds.
-///
-/// # Errors
-/// As [`load`].
-pub fn read(from: impl Read, path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
-    read_rows(RowReader::new(from, path, map.map(RecordingMap::spec))?, path, map)
-}
-
-fn read_rows(mut table: RowReader<'_>, path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
-    let Some(first) = table.next_header()? else {
-        return Err(RecordingError::Empty { path: path.to_owned() });
-    };
-    let built_in;
-    let map = match map {
-        Some(map) => map,
-        None => {
-            let name = match first.text(0) {
-                "Date" => "openacc",
-                "event" => "car-following",
-                other => match RecordingMap::recognise(first.fields.iter()) {
-                    Some(map) => return first.reject_line(LineProblem::NeedsMap { map }),
-                    None => return first.reject_line(LineProblem::UnknownFormat { found: table::excerpt(other) }),
-                },
-            };
-            let map = RecordingMap::built_in(name).transpose();
-            built_in = map.map_err(|error| RecordingError::Map(Box::new(error)))?;
-            match &built_in {
-                Some(map) => map,
-                None => return first.reject_line(LineProblem::NeedsMap { map: name }),
-            }
-        }
-    };
-    read_with_map(&mut table, map.spec(), first)
-}
-
-fn read_with_map(
-    table: &mut RowReader<'_>,
-    map: &RecordingMapSpec,
-    first: CsvRow<'_>,
-) -> Result<Recording, RecordingError> {
-    let (mut lines, mut names) = (Vec::new(), first);
-    while lines.len() < map.lines_before_names {
-        lines.push(names.fields);
-        let expected = if lines.len() < map.lines_before_names {
-            "the end of its header lines"
-        } else {
-            "the names of its columns"
-        };
-        let Some(next) = table.next_header()? else { return table.reject_cut_short(expected) };
-        names = next;
-    }
-    match &map.layout {
-        LayoutSpec::Platoon(platoon) => platoons::read(table, (map, platoon), &lines, &names),
-        LayoutSpec::Pairs(pairs) => pairs::read(table, (map, pairs), &names),
-        LayoutSpec::Tracks(tracks) => traffic::read(table, (map, tracks), &names),
     }
 }

@@ -4,88 +4,89 @@
 //! or is checked against both.
 
 use std::collections::HashMap;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::ops::Range;
 use std::{iter, mem};
 
-use super::consistency::{Comparison, Hypothesis};
+use super::acceleration::AccelerationCheck;
+use super::consistency::Comparison;
 use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, RecordingError};
-use super::map::{LengthUnit, PairsSpec, RecordingMapSpec, Sign, SpeedSpec, SpeedUnit};
+use super::map::{PairsSpec, RecordingMapSpec, Sign, SpeedSpec};
+use super::parts::{PART_ROWS, PartBounds, PartSink};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
-use super::table::{CsvColumn, CsvRow, RowLimiter, RowReader, excerpt};
+use super::table::{CsvColumn, CsvRow, RowCounter, RowReader, excerpt};
 use super::target_switches::PairSamples;
 use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat, TextFormat};
-use crumple_core::digest::sha256;
 
 /// Largest contradiction of the three speeds due to rounding and filtering, in m/s.
 const SPEED_TOLERANCE_MPS: f64 = 0.1;
-/// Maximum number of events of a file. Each takes about a kilobyte beside its samples.
-const MAX_EVENTS: usize = 100_000;
+/// Maximum number of events of a file. Each takes about 50 bytes beside its samples.
+const MAX_EVENTS: usize = 1_000_000;
 
 /// Reads the rows after the column names.
 pub(super) fn read(
     table: &mut RowReader<'_>,
     (map, pairs): (&RecordingMapSpec, &PairsSpec),
     names: &CsvRow<'_>,
-) -> Result<Recording, RecordingError> {
+    each: &mut PartSink<'_>,
+) -> Result<(), RecordingError> {
     let mut events = EventReader::new((map, pairs), names)?;
-    let mut extent = RowLimiter::new(&names.fields, 3);
+    let mut counter = RowCounter::new(&names.fields);
     while let Some(row) = table.next_row()? {
-        extent.check_row(row)?;
+        counter.check_row(row)?;
         events.read_row(row)?;
+        if events.finished_rows > PART_ROWS {
+            let part = events.part(table, Vec::new())?;
+            if !each(part)? {
+                return Ok(());
+            }
+        }
     }
-    if extent.rows == 0 {
-        return table.reject_cut_short("its first sample");
-    }
-    let text = TextFormat { time: events.clock.detected(), ..table.format() };
-    let (path, format) = (table.path().to_owned(), RecordingFormat::from_map(map));
-    events.finish_event();
     let mut dropped = Vec::new();
+    table.check_samples(counter.rows, &mut dropped)?;
+    events.finish_event();
     let speeds = [&events.follower, &events.relative, &events.leader].into_iter().flatten();
-    for series in iter::once(&events.gap).chain(speeds) {
-        series.report(&path, extent.rows, &mut dropped);
+    let accelerations = events.accelerations.iter().flatten().map(|acceleration| &acceleration.series);
+    for series in iter::once(&events.gap).chain(speeds).chain(accelerations) {
+        series.report(table.path(), counter.rows, &mut dropped);
     }
-    let columns = ["spacings", "the follower's speed", "the leader's speed"];
-    for (column, (line, count)) in
-        columns.into_iter().zip(events.interpolated).filter_map(|(name, one)| Some((name, one?)))
-    {
-        let what = Omission::Interpolated { column: column.to_owned(), count };
-        dropped.push(DroppedItem { path: path.clone(), line, omission: what });
-    }
-    events.check(table, &mut dropped)?;
-    events.clock.report(&mut dropped);
-    let switches = events.switches.take();
-    dropped.extend(switches.map(|(line, omission)| DroppedItem { path: path.clone(), line, omission }));
+    let mut last = events.part(table, dropped)?;
+    events.clock.report(&mut last.dropped);
     if let Some((mut first, rows)) = events.contradictions {
         if let Omission::SpeedsContradict { count, .. } = &mut first.omission {
             *count = rows;
         }
-        dropped.push(first);
+        last.dropped.push(first);
     }
-    Ok(Recording { path, format, text, platoons: events.platoons, traffic: None, dropped })
+    each(last)?;
+    Ok(())
 }
 
 /// Finished events, and the current one.
-struct EventReader<'m> {
-    spec: (&'m RecordingMapSpec, &'m PairsSpec),
+pub(super) struct EventReader<'m> {
+    pub(super) spec: (&'m RecordingMapSpec, &'m PairsSpec),
     platoons: Vec<RecordedPlatoon>,
+    /// Number of rows of these platoons.
+    finished_rows: usize,
+    bounds: PartBounds,
     /// Column of the event. `event` holds the full text, since names may differ in the last character.
     column: Option<CsvColumn>,
+    /// Accelerations of the follower and of the leader.
+    pub(super) accelerations: [Option<AccelerationCheck>; 2],
     event: Option<String>,
     /// Last time and line of each finished event, by the hash of its name, which may be long.
-    finished: HashMap<String, (f64, u64)>,
-    clock: Clock,
-    time_s: Vec<f64>,
-    line: Vec<u64>,
-    gap: Series,
-    follower: Option<Series>,
-    relative: Option<Series>,
-    leader: Option<Series>,
-    followers_mps: Vec<Option<f64>>,
-    leaders_mps: Vec<Option<f64>>,
+    finished: HashMap<u64, (f64, u64)>,
+    pub(super) clock: Clock,
+    samples: PairSamples,
+    pub(super) gap: Series,
+    pub(super) follower: Option<Series>,
+    pub(super) relative: Option<Series>,
+    pub(super) leader: Option<Series>,
     contradictions: Option<(DroppedItem, usize)>,
     /// Changes of the gap against closing speeds, and closing speeds against both speeds.
-    gap_change: Comparison,
-    closing: Comparison,
+    pub(super) gap_change: Comparison,
+    pub(super) closing: Comparison,
     /// Line of the first switch to another target, and all switches.
     switches: Option<(u64, Omission)>,
     /// First line and number of interpolated spacings, follower speeds and leader speeds.
@@ -103,21 +104,23 @@ impl<'m> EventReader<'m> {
             let sign = if one.sign == Sign::LeaderMinusFollower { 1.0 } else { -1.0 };
             series(&one.column, sign * one.unit.factor(), ColumnQuantity::Signed)
         });
+        let acceleration =
+            |speed: &Option<SpeedSpec>| speed.as_ref().map_or(Ok(None), |speed| AccelerationCheck::find(names, speed));
         Ok(Self {
             spec,
+            accelerations: [acceleration(&pairs.follower_speed)?, acceleration(&pairs.leader_speed)?],
             platoons: Vec::new(),
+            finished_rows: 0,
+            bounds: PartBounds::new(3),
             column: pairs.event.as_ref().map(|name| CsvColumn::find(names, name, 1.0)).transpose()?,
             event: None,
             finished: HashMap::new(),
             clock: Clock::find(names, &map.time)?,
-            time_s: Vec::new(),
-            line: Vec::new(),
+            samples: PairSamples::default(),
             gap: series(&pairs.spacing.column, pairs.spacing.unit.factor(), ColumnQuantity::Gap)?,
             follower: speed(&pairs.follower_speed)?,
             relative: relative.transpose()?,
             leader: speed(&pairs.leader_speed)?,
-            followers_mps: Vec::new(),
-            leaders_mps: Vec::new(),
             contradictions: None,
             gap_change: Comparison::default(),
             closing: Comparison::default(),
@@ -133,15 +136,19 @@ impl<'m> EventReader<'m> {
         {
             return row.reject(&column.name, ColumnProblem::Empty);
         }
-        if self.event.as_deref() != Some(event) {
+        // Without a column, names are not compared: comparisons of empty texts are slow on some processors.
+        if self.event.as_deref().is_none_or(|known| self.column.is_some() && known != event) {
             self.finish_event();
-            if self.platoons.len() >= MAX_EVENTS {
+            if self.finished.len() >= MAX_EVENTS {
                 return row.reject_too_large(MAX_EVENTS, "events");
             }
             self.check_not_interleaved(row, event)?;
             self.event = Some(event.to_owned());
         }
         let Some(now_s) = self.clock.tick(row)? else { return Ok(()) };
+        if self.bounds.ends_before((now_s * 1000.0).round() as i64) {
+            self.end_part();
+        }
         let gap_m = self.gap.read_minus(row, self.spec.1.length_m.unwrap_or(0.0))?;
         let read = |series: &mut Option<Series>| series.as_mut().map_or(Ok(None), |series| series.read(row));
         let speeds = (read(&mut self.follower)?, read(&mut self.relative)?, read(&mut self.leader)?);
@@ -154,18 +161,24 @@ impl<'m> EventReader<'m> {
         if let (Some(follower), Some(relative), Some(leader)) = speeds {
             self.closing.add_instant(row.line, [relative, leader, -follower]);
         }
-        self.time_s.push(now_s);
-        self.line.push(row.line);
-        self.gap.values.push(gap_m);
-        self.followers_mps.push(follower_mps);
-        self.leaders_mps.push(leader_mps);
+        for (acceleration, speed_mps) in self.accelerations.iter_mut().zip([follower_mps, leader_mps]) {
+            if let Some(acceleration) = acceleration {
+                let value = acceleration.series.read(row)?;
+                acceleration.add((now_s, row.line), speed_mps, value);
+            }
+        }
+        self.samples.time_s.push(now_s);
+        self.samples.line.push(row.line);
+        self.samples.gaps_m.push(gap_m);
+        self.samples.followers_mps.push(follower_mps);
+        self.samples.leaders_mps.push(leader_mps);
         Ok(())
     }
 
     /// Rejects a row that continues an event after rows of others. A row that begins before the end of the earlier
     /// event starts another event of that name.
     fn check_not_interleaved(&mut self, row: &CsvRow<'_>, event: &str) -> Result<(), RecordingError> {
-        let (Some(column), Some(&(last_s, last_line))) = (&self.column, self.finished.get(&sha256(event))) else {
+        let (Some(column), Some(&(last_s, last_line))) = (&self.column, self.finished.get(&hash_of(event))) else {
             return Ok(());
         };
         match self.clock.read(row)? > last_s {
@@ -206,66 +219,70 @@ impl<'m> EventReader<'m> {
     fn finish_event(&mut self) {
         self.clock.restart();
         self.gap_change.restart();
+        self.accelerations.iter_mut().flatten().for_each(AccelerationCheck::restart);
         let Some(event) = self.event.take() else { return };
-        let (time_s, line) = (mem::take(&mut self.time_s), mem::take(&mut self.line));
-        if let (Some(&last_s), Some(&last_line)) = (time_s.last(), line.last()) {
-            self.finished.insert(sha256(&event), (last_s, last_line));
+        let samples = mem::take(&mut self.samples);
+        if let (Some(&last_s), Some(&last_line)) = (samples.time_s.last(), samples.line.last()) {
+            self.finished.insert(hash_of(&event), (last_s, last_line));
         }
-        let lists = [&mut self.gap.values, &mut self.followers_mps, &mut self.leaders_mps];
-        let [gaps_m, followers_mps, leaders_mps] = lists.map(mem::take);
-        let mut lists = [gaps_m, followers_mps, leaders_mps];
-        for (values, interpolated) in lists.iter_mut().zip(&mut self.interpolated) {
-            if let Some((count, first)) = interpolate_holes(values, &time_s, self.spec.0.interpolate_s) {
+        let (core_ms, _) = mem::replace(&mut self.bounds, PartBounds::new(3)).next();
+        self.add_platoons(&event, core_ms, samples);
+    }
+
+    /// Converts the first part of a long event to a platoon, and keeps its end for the next part.
+    fn end_part(&mut self) {
+        let (core_ms, next_ms) = self.bounds.next();
+        let end = self.samples.time_s.partition_point(|time_s| time_s * 1000.0 < next_ms as f64);
+        let part = mem::take(&mut self.samples);
+        self.samples = part.clone().split_off(end);
+        let event = self.event.clone().unwrap_or_default();
+        self.add_platoons(&event, core_ms, part);
+    }
+
+    fn add_platoons(&mut self, event: &str, core_ms: Range<i64>, mut samples: PairSamples) {
+        self.finished_rows += samples.time_s.len();
+        let PairSamples { time_s, line, gaps_m, followers_mps, leaders_mps } = &mut samples;
+        for (values, interpolated) in [gaps_m, followers_mps, leaders_mps].into_iter().zip(&mut self.interpolated) {
+            if let Some((count, first)) = interpolate_holes(values, time_s, self.spec.0.interpolate_s) {
                 interpolated.get_or_insert((line.get(first).copied().unwrap_or(0), 0)).1 += count;
             }
         }
-        let [gaps_m, followers_mps, leaders_mps] = lists;
-        let event = self.column.is_some().then(|| excerpt(&event));
-        let whole = PairSamples { time_s, line, gaps_m, followers_mps, leaders_mps };
-        for PairSamples { time_s, line, gaps_m, followers_mps, leaders_mps } in whole.split(&mut self.switches) {
+        let event = self.column.is_some().then(|| excerpt(event));
+        for PairSamples { time_s, line, gaps_m, followers_mps, leaders_mps } in samples.split(&mut self.switches) {
             let vehicle =
                 |number, role: &str, speed_mps| RecordedVehicle { number, name: Some(role.to_owned()), speed_mps };
             let vehicles = vec![vehicle(1, "leader", leaders_mps), vehicle(2, "follower", followers_mps)];
-            let event = event.clone();
-            self.platoons.push(RecordedPlatoon { event, time_s, line, vehicles, gaps_m: vec![gaps_m] });
+            let (event, core_ms) = (event.clone(), core_ms.clone());
+            self.platoons.push(RecordedPlatoon { event, time_s, line, vehicles, gaps_m: vec![gaps_m], core_ms });
         }
     }
 
-    /// Compares the closing speed with both speeds, and the gap with the closing speed.
-    fn check(&self, table: &RowReader<'_>, dropped: &mut Vec<DroppedItem>) -> Result<(), RecordingError> {
-        let (map, pairs) = self.spec;
-        let name = |series: &Option<Series>| series.as_ref().map_or("", |one| &one.column.name).to_owned();
-        let (leader, follower, relative) = (name(&self.leader), name(&self.follower), name(&self.relative));
-        let difference = format!("{leader} - {follower}");
-        let units = |terms, column, given| Hypothesis::units(column, (SpeedUnit::ALL, given), terms);
-        let unit = |speed: &Option<SpeedSpec>| speed.as_ref().map_or(1.0, |speed| speed.unit.factor());
-        let (leader_unit, follower_unit) = (unit(&pairs.leader_speed), unit(&pairs.follower_speed));
-        let relative_unit = pairs.relative_speed.as_ref().map_or(1.0, |speed| speed.unit.factor());
-        let of_speeds = || {
-            let both = units([false, true, true], &difference, leader_unit).filter(|_| leader_unit == follower_unit);
-            let each = units([false, true, false], &leader, leader_unit);
-            both.chain(each).chain(units([false, false, true], &follower, follower_unit))
-        };
-        let flipped = |factors, reason| iter::once(Hypothesis { factors, reason });
-        let wrong_sign = |factors| flipped(factors, format!("{relative} has the opposite sign"));
-        let closing: Vec<_> = wrong_sign([-1.0, 1.0, 1.0])
-            .chain(units([true, false, false], &relative, relative_unit))
-            .chain(of_speeds())
-            .collect();
-        self.closing.check(table, &relative, [&relative, &difference], (&closing, dropped))?;
-        let gap = &pairs.spacing;
-        let gaps = (LengthUnit::ALL, gap.unit.factor());
-        let common = Hypothesis::units(&gap.column, gaps, [true, false, false])
-            .chain(Hypothesis::times(&map.time, self.clock.column.factor));
-        let (stated, hypotheses): (_, Vec<_>) = if self.relative.is_some() {
-            let of_relative = units([false, true, true], &relative, relative_unit);
-            (&relative, wrong_sign([1.0, -1.0, -1.0]).chain(of_relative).chain(common).collect())
-        } else {
-            let exchanged = flipped([1.0, -1.0, -1.0], format!("{leader} and {follower} look exchanged"));
-            (&difference, exchanged.chain(of_speeds()).chain(common).collect())
-        };
-        let change = format!("the change of {}", gap.column);
-        self.gap_change.check(table, stated, [&change, stated], (&hypotheses, dropped))?;
-        Ok(())
+    /// Converts the finished platoons to a part of the recording.
+    fn part(&mut self, table: &RowReader<'_>, mut dropped: Vec<DroppedItem>) -> Result<Recording, RecordingError> {
+        let item = |line, omission| DroppedItem { path: table.path().to_owned(), line, omission };
+        let columns = ["spacings", "the follower's speed", "the leader's speed"];
+        for (column, found) in columns.into_iter().zip(mem::take(&mut self.interpolated)) {
+            let omission = |count| Omission::Interpolated { column: column.to_owned(), count };
+            dropped.extend(found.map(|(line, count)| item(line, omission(count))));
+        }
+        self.check(table, &mut dropped)?;
+        let accelerations = self.accelerations.iter_mut().flatten();
+        accelerations.into_iter().try_for_each(|acceleration| acceleration.check(table, &mut dropped))?;
+        (self.gap_change, self.closing, self.finished_rows) = (Comparison::default(), Comparison::default(), 0);
+        dropped.extend(self.switches.take().map(|(line, omission)| item(line, omission)));
+        Ok(Recording {
+            path: table.path().to_owned(),
+            format: RecordingFormat::from_map(self.spec.0),
+            text: TextFormat { time: self.clock.detected(), ..table.format() },
+            platoons: mem::take(&mut self.platoons),
+            traffic: None,
+            dropped,
+        })
     }
+}
+
+fn hash_of(event: &str) -> u64 {
+    let mut hasher = DefaultHasher::new();
+    event.hash(&mut hasher);
+    hasher.finish()
 }

@@ -2,16 +2,17 @@
 
 use std::sync::Arc;
 
-use csv::StringRecord;
 use parquet::basic::Repetition;
 use parquet::errors::ParquetError;
 use parquet::file::reader::{ChunkReader, FileReader, SerializedFileReader};
 use parquet::record::{Field, reader::RowIter};
 use parquet::schema::types::Type;
 
+use super::binary::check_columns;
 use super::error::BinaryProblem;
 use super::map::RecordingMapSpec;
 use super::table::BinaryRows;
+use super::text_rows::Fields;
 
 pub(super) struct ParquetRows(RowIter<'static>);
 
@@ -19,7 +20,7 @@ pub(super) struct ParquetRows(RowIter<'static>);
 pub(super) fn open(
     file: impl ChunkReader + 'static,
     map: Option<&RecordingMapSpec>,
-) -> Result<(ParquetRows, StringRecord), BinaryProblem> {
+) -> Result<(ParquetRows, Fields), BinaryProblem> {
     let reader = SerializedFileReader::new(file)?;
     let schema = reader.metadata().file_metadata().schema();
     let is_wanted = |column: &&Arc<Type>| {
@@ -29,12 +30,16 @@ pub(super) fn open(
     };
     let columns: Vec<Arc<Type>> = schema.get_fields().iter().filter(is_wanted).cloned().collect();
     let names = columns.iter().map(|column| column.name()).collect();
+    if let Some(map) = map {
+        let known: Vec<_> = schema.get_fields().iter().map(|column| column.name().to_owned()).collect();
+        check_columns(map, &names, &known)?;
+    }
     let projection = Type::group_type_builder(schema.name()).with_fields(columns).build()?;
     Ok((ParquetRows(RowIter::from_file_into(Box::new(reader)).project(Some(projection))?), names))
 }
 
 impl BinaryRows for ParquetRows {
-    fn next_row(&mut self, texts: &mut StringRecord, numbers: &mut Vec<f64>) -> Result<bool, BinaryProblem> {
+    fn next_row(&mut self, texts: &mut Fields, numbers: &mut Vec<f64>) -> Result<bool, BinaryProblem> {
         let Some(row) = self.0.next().transpose()? else { return Ok(false) };
         for (_, field) in row.get_column_iter() {
             let (text, number) = match field {
@@ -50,7 +55,7 @@ impl BinaryRows for ParquetRows {
                     (text, number)
                 }
             };
-            texts.push_field(&text);
+            texts.push(&text);
             numbers.push(number);
         }
         Ok(true)

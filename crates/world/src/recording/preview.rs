@@ -147,32 +147,57 @@ pub fn preview(recording: &Recording) -> Option<Preview> {
 /// Finds the hardest braking of a recording, by the loss of speed within a second.
 #[must_use]
 pub fn hardest_braking(recording: &Recording) -> HardestBrakingResult {
-    let mut hardest: Option<HardestBraking> = None;
-    let (mut longest_ms, mut steps_s) = (None, Vec::new());
-    for lead in recording.lead_vehicles() {
-        steps_s.extend(sample_intervals(&*lead));
-        for run in lead.segments() {
-            let lasts_ms = run.first().zip(run.last()).map(|(first, last)| last.time_ms - first.time_ms);
-            longest_ms = longest_ms.max(lasts_ms);
-            for braking in find_brakings(&run, 0.0) {
-                if hardest.as_ref().is_none_or(|known| braking.largest_drop_mps > known.drop_mps) {
-                    let (event, number) = (lead.event().map(str::to_owned), lead.number());
-                    let from_s = braking.hardest_ms as f64 / 1000.0;
-                    hardest = Some(HardestBraking { event, number, from_s, drop_mps: braking.largest_drop_mps });
+    let mut search = HardestSearch::default();
+    search.add(recording);
+    search.finish()
+}
+
+/// Search for the hardest braking in the parts of a recording.
+#[derive(Debug, Default)]
+pub struct HardestSearch {
+    hardest: Option<HardestBraking>,
+    longest_ms: Option<i64>,
+    /// Median time between two samples in the first part.
+    step_s: Option<f64>,
+}
+
+impl HardestSearch {
+    /// Adds a part.
+    pub fn add(&mut self, part: &Recording) {
+        let mut steps_s = Vec::new();
+        for lead in part.lead_vehicles() {
+            if self.step_s.is_none() {
+                steps_s.extend(sample_intervals(&*lead));
+            }
+            for run in lead.segments() {
+                let lasts_ms = run.first().zip(run.last()).map(|(first, last)| last.time_ms - first.time_ms);
+                self.longest_ms = self.longest_ms.max(lasts_ms);
+                for braking in find_brakings(&run, 0.0) {
+                    if self.hardest.as_ref().is_none_or(|known| braking.largest_drop_mps > known.drop_mps) {
+                        let (event, number) = (lead.event().map(str::to_owned), lead.number());
+                        let (from_s, drop_mps) = (braking.hardest_ms as f64 / 1000.0, braking.largest_drop_mps);
+                        self.hardest = Some(HardestBraking { event, number, from_s, drop_mps });
+                    }
                 }
             }
         }
+        self.step_s = self.step_s.or(min_median_max(&mut steps_s).map(|[_, median, _]| median));
     }
-    match (hardest, longest_ms) {
-        (Some(hardest), _) => HardestBrakingResult::Braking(hardest),
-        (None, None) => HardestBrakingResult::NoSpeed,
-        (None, Some(longest_ms)) if longest_ms >= BRAKING_WINDOW_MS => HardestBrakingResult::NoBraking,
-        (None, Some(longest_ms)) => match min_median_max(&mut steps_s) {
-            Some([_, step_s, _]) if step_s * 1000.0 > MAX_HOLE_MS as f64 => {
-                HardestBrakingResult::SamplesTooFarApart { step_s }
-            }
-            _ => HardestBrakingResult::TooShort { longest_s: longest_ms as f64 / 1000.0 },
-        },
+
+    /// Returns the result.
+    #[must_use]
+    pub fn finish(self) -> HardestBrakingResult {
+        match (self.hardest, self.longest_ms) {
+            (Some(hardest), _) => HardestBrakingResult::Braking(hardest),
+            (None, None) => HardestBrakingResult::NoSpeed,
+            (None, Some(longest_ms)) if longest_ms >= BRAKING_WINDOW_MS => HardestBrakingResult::NoBraking,
+            (None, Some(longest_ms)) => match self.step_s {
+                Some(step_s) if step_s * 1000.0 > MAX_HOLE_MS as f64 => {
+                    HardestBrakingResult::SamplesTooFarApart { step_s }
+                }
+                _ => HardestBrakingResult::TooShort { longest_s: longest_ms as f64 / 1000.0 },
+            },
+        }
     }
 }
 

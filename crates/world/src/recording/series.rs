@@ -30,6 +30,7 @@ pub(super) struct Clock {
     /// First row that is not later, without the count, and number of such rows.
     not_later: Option<(DroppedItem, usize)>,
     format: ClockFormat,
+    is_first: bool,
 }
 
 /// Format of the times of a column.
@@ -51,7 +52,13 @@ impl Clock {
             TimeSpec::Clock(ClockSpec { column, unit: None }) => (column, 1.0, ClockFormat::Unknown),
             TimeSpec::Frames(frames) => (&frames.column, 1.0 / frames.rate_hz, ClockFormat::Stated),
         };
-        Ok(Self { column: CsvColumn::find(names, column, factor)?, last_s: None, not_later: None, format })
+        Ok(Self {
+            column: CsvColumn::find(names, column, factor)?,
+            last_s: None,
+            not_later: None,
+            format,
+            is_first: true,
+        })
     }
 
     /// Returns the format that the first row shows, unless the map states the unit.
@@ -94,6 +101,10 @@ impl Clock {
             self.detect(row)?;
         }
         let text = row.text(self.column.index);
+        if self.format == ClockFormat::Stated && self.is_first && parse_iso_s(text).is_some() {
+            self.format = ClockFormat::Iso;
+        }
+        self.is_first = false;
         if self.format == ClockFormat::Iso && !text.is_empty() {
             let wrong = || row.reject(&self.column.name, ColumnProblem::NotATime { found: excerpt(text) });
             return parse_iso_s(text).map_or_else(wrong, Ok);

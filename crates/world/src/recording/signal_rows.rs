@@ -1,20 +1,21 @@
 //! Rows of signals with several clocks: at the times of the spacings or positions, with all others interpolated.
 
-use csv::StringRecord;
-
 use super::error::BinaryProblem;
 use super::map::{RecordingMapSpec, TimeSpec};
-use super::mdf::{Signal, SignalSet};
+use super::mdf::{Signal, SignalStream};
 use super::table::BinaryRows;
+use super::text_rows::Fields;
 
 /// Largest interval between two values that are interpolated, in seconds.
 const MAX_INTERVAL_S: f64 = 0.5;
 
 pub(super) struct ResampledSignals {
-    signals: SignalSet,
+    stream: SignalStream,
     /// Clock of the rows, and number of the next row.
     base: usize,
     row: usize,
+    /// Time of the row before, in seconds.
+    row_s: Option<f64>,
     /// Index of the last time of each clock that is not after the row.
     last: Vec<usize>,
     /// True for each signal that is an id, whose value holds until the next one.
@@ -25,7 +26,8 @@ pub(super) struct ResampledSignals {
 
 impl ResampledSignals {
     /// Returns the rows with the names of the columns. The time of the map stands for the clocks of the groups.
-    pub(super) fn new(signals: SignalSet, map: &RecordingMapSpec) -> (Self, StringRecord) {
+    pub(super) fn new(stream: SignalStream, map: &RecordingMapSpec) -> (Self, Fields) {
+        let signals = &stream.set;
         let is_base = |signal: &&Signal| map.column_role(&signal.name).is_some_and(|role| role.is_spacing);
         let base = signals.signals.iter().find(is_base).map_or(0, |signal| signal.clock);
         let is_id =
@@ -36,14 +38,14 @@ impl ResampledSignals {
         };
         let names = time.into_iter().chain(signals.signals.iter().map(|signal| signal.name.as_str())).collect();
         let last = vec![0; signals.clocks_s.len()];
-        (Self { signals, base, row: 0, last, is_id, time_unit_s }, names)
+        (Self { stream, base, row: 0, row_s: None, last, is_id, time_unit_s }, names)
     }
 
     /// Returns the value of a signal at a time, between the last time of its clock that is not later and the next.
     fn value(&self, signal: &Signal, is_id: bool, at_s: f64) -> f64 {
         let last = self.last.get(signal.clock).copied().unwrap_or(0);
         let sample =
-            |index: usize| Some((*self.signals.clocks_s.get(signal.clock)?.get(index)?, *signal.values.get(index)?));
+            |index: usize| Some((*self.stream.set.clocks_s.get(signal.clock)?.get(index)?, *signal.values.get(index)?));
         match (sample(last), sample(last + 1)) {
             (Some((time_s, value)), _) if time_s == at_s => value,
             (Some((time_s, value)), _) if is_id && (0.0..=MAX_INTERVAL_S).contains(&(at_s - time_s)) => value,
@@ -60,24 +62,54 @@ impl ResampledSignals {
     }
 }
 
+impl ResampledSignals {
+    /// Returns the time of the next row, and reads all values until then and [`MAX_INTERVAL_S`] longer.
+    fn next_time_s(&mut self) -> Result<Option<f64>, BinaryProblem> {
+        loop {
+            let at_s = self.stream.set.clocks_s.get(self.base).and_then(|clock| clock.get(self.row)).copied();
+            let is_read = |at_s: f64| self.stream.read_until_s().is_none_or(|until_s| until_s > at_s + MAX_INTERVAL_S);
+            if at_s.is_some_and(is_read) {
+                self.row_s = at_s;
+                return Ok(at_s);
+            }
+            // Values before the row are not needed any more.
+            if self.stream.is_full() {
+                let mut counts = self.last.clone();
+                if let Some(count) = counts.get_mut(self.base) {
+                    *count = self.row.saturating_sub(1).min(*count);
+                    self.row -= *count;
+                }
+                self.stream.set.forget(&counts, self.row_s);
+                self.last.iter_mut().zip(counts).for_each(|(last, count)| *last -= count);
+            }
+            loop {
+                if !self.stream.advance()? {
+                    return Ok(self.stream.set.clocks_s.get(self.base).and_then(|clock| clock.get(self.row)).copied());
+                }
+                if self.stream.is_full() {
+                    break;
+                }
+            }
+        }
+    }
+}
+
 impl BinaryRows for ResampledSignals {
-    fn next_row(&mut self, texts: &mut StringRecord, numbers: &mut Vec<f64>) -> Result<bool, BinaryProblem> {
-        let Some(&at_s) = self.signals.clocks_s.get(self.base).and_then(|clock| clock.get(self.row)) else {
-            return Ok(false);
-        };
+    fn next_row(&mut self, texts: &mut Fields, numbers: &mut Vec<f64>) -> Result<bool, BinaryProblem> {
+        let Some(at_s) = self.next_time_s()? else { return Ok(false) };
         self.row += 1;
-        for (last, times_s) in self.last.iter_mut().zip(&self.signals.clocks_s) {
+        for (last, times_s) in self.last.iter_mut().zip(&self.stream.set.clocks_s) {
             while times_s.get(*last + 1).is_some_and(|next_s| *next_s <= at_s) {
                 *last += 1;
             }
         }
         if let Some(unit_s) = self.time_unit_s {
-            texts.push_field("");
+            texts.push("");
             numbers.push(at_s / unit_s);
         }
-        for (signal, &is_id) in self.signals.signals.iter().zip(&self.is_id) {
+        for (signal, &is_id) in self.stream.set.signals.iter().zip(&self.is_id) {
             let value = self.value(signal, is_id, at_s);
-            texts.push_field(&if is_id && value.is_finite() { value.to_string() } else { String::new() });
+            texts.push(&if is_id && value.is_finite() { value.to_string() } else { String::new() });
             numbers.push(value);
         }
         Ok(true)

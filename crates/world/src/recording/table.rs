@@ -1,81 +1,39 @@
 //! Rows of numbers from a text file of any size: bounded memory, and errors with file, line and column.
 
-use std::io::{self, Chain, Cursor, Read};
+use std::io::{self, Read};
 use std::path::Path;
-
-use csv::StringRecord;
 
 use super::dropped::{DroppedItem, Omission};
 use super::error::{BinaryProblem, ColumnProblem, LineProblem, RecordingError};
 use super::map::{DecimalMark, RecordingMapSpec};
 use super::number::parse_number;
-use super::text::{TextFormat, Utf8Reader};
-
-/// Maximum line length, in bytes. 200 vehicles with all columns of OpenACC take about 30 kB.
-const MAX_LINE_BYTES: usize = 1 << 20;
-pub(super) const MAX_ROWS: usize = 5_000_000;
-/// Maximum number of speeds and gaps of a file: 320 MB.
-pub(super) const MAX_VALUES: usize = 20_000_000;
-
-/// Adds a line feed to the last line, and rejects overlong lines before they fill the memory.
-struct LineLimitReader<R> {
-    inner: R,
-    since_line_feed: usize,
-    /// True if line feeds in quotation marks do not end a line.
-    has_quotes: bool,
-    is_quoted: bool,
-}
-
-impl<R: Read> Read for LineLimitReader<R> {
-    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        let count = self.inner.read(into)?;
-        if count == 0
-            && self.since_line_feed > 0
-            && let Some(first) = into.first_mut()
-        {
-            *first = b'\n';
-            self.since_line_feed = 0;
-            return Ok(1);
-        }
-        for &byte in into.iter().take(count) {
-            self.is_quoted ^= self.has_quotes && byte == b'"';
-            self.since_line_feed = if byte == b'\n' && !self.is_quoted { 0 } else { self.since_line_feed + 1 };
-            if self.since_line_feed > MAX_LINE_BYTES {
-                let message = format!("a line of more than {MAX_LINE_BYTES} bytes is not a row of numbers");
-                return Err(io::Error::new(io::ErrorKind::InvalidData, message));
-            }
-        }
-        Ok(count)
-    }
-}
-
-/// A text whose sample was read before.
-type SampledText<'a> = Chain<Cursor<Vec<u8>>, Utf8Reader<Box<dyn Read + 'a>>>;
+use super::text::TextFormat;
+use super::text_rows::{Fields, TextRows};
 
 pub(super) struct RowReader<'a> {
     path: &'a Path,
     rows: RowSource<'a>,
-    format: TextFormat,
     row: CsvRow<'a>,
+    /// Number of decimals of the last column, and true if all rows have this number.
+    decimals: Option<(usize, bool)>,
 }
 
 enum RowSource<'a> {
-    Text(Box<csv::Reader<LineLimitReader<SampledText<'a>>>>),
-    Binary { rows: Box<dyn BinaryRows + 'a>, names: Option<StringRecord> },
+    Text(Box<TextRows<'a>>),
+    Binary { rows: Box<dyn BinaryRows + 'a>, names: Option<Fields> },
 }
 
 /// Rows of a file that is no text.
 pub(super) trait BinaryRows {
     /// Reads the next row: texts of ids and whole numbers, and numbers, NaN if missing. Returns false at the end.
-    fn next_row(&mut self, texts: &mut StringRecord, numbers: &mut Vec<f64>) -> Result<bool, BinaryProblem>;
+    fn next_row(&mut self, texts: &mut Fields, numbers: &mut Vec<f64>) -> Result<bool, BinaryProblem>;
 }
 
 impl<'a> RowReader<'a> {
     /// Reads rows with named columns.
-    pub(super) fn from_binary(rows: Box<dyn BinaryRows + 'a>, names: StringRecord, path: &'a Path) -> Self {
-        let row =
-            CsvRow { path, line: 0, fields: StringRecord::new(), numbers: Vec::new(), decimal: DecimalMark::Point };
-        Self { path, rows: RowSource::Binary { rows, names: Some(names) }, format: TextFormat::default(), row }
+    pub(super) fn from_binary(rows: Box<dyn BinaryRows + 'a>, names: Fields, path: &'a Path) -> Self {
+        let rows = RowSource::Binary { rows, names: Some(names) };
+        Self { path, rows, row: CsvRow::new(path, DecimalMark::Point), decimals: None }
     }
 
     /// Detects the text format, as far as `map` does not state it.
@@ -84,44 +42,25 @@ impl<'a> RowReader<'a> {
         path: &'a Path,
         map: Option<&RecordingMapSpec>,
     ) -> Result<Self, RecordingError> {
-        let mut text = Utf8Reader::new(Box::new(from) as Box<dyn Read + 'a>);
-        let (fields, numbers) = (StringRecord::new(), Vec::new());
-        let start = CsvRow { path, line: 1, fields, numbers, decimal: DecimalMark::Point };
-        let sample = text.sample().map_err(|error| start.io_error(error))?;
-        let format = TextFormat::detect(&String::from_utf8_lossy(&sample), map);
-        let reader = csv::ReaderBuilder::new()
-            .delimiter(format.delimiter.byte())
-            .has_headers(false)
-            .flexible(true)
-            .quoting(format.has_quotes)
-            .comment(format.comment.map(|letter| letter as u8))
-            // Fields are trimmed, which removes carriage returns. Rows that end at both would miscount lines.
-            .terminator(csv::Terminator::Any(b'\n'))
-            .from_reader(LineLimitReader {
-                inner: Cursor::new(sample).chain(text),
-                since_line_feed: 0,
-                has_quotes: format.has_quotes,
-                is_quoted: false,
-            });
-        let decimal = format.decimal;
-        let rows = RowSource::Text(Box::new(reader));
-        Ok(Self { path, rows, format, row: CsvRow { line: 0, decimal, ..start } })
+        let start = CsvRow { line: 1, ..CsvRow::new(path, DecimalMark::Point) };
+        let rows = TextRows::new(from, |sample| TextFormat::detect(sample, map));
+        let rows = rows.map_err(|error| start.io_error(error))?;
+        let decimal = rows.format().decimal;
+        Ok(Self { path, rows: RowSource::Text(Box::new(rows)), row: CsvRow::new(path, decimal), decimals: None })
     }
 
     /// Returns the text format, with the encoding of what was read so far.
     pub(super) fn format(&self) -> TextFormat {
         match &self.rows {
-            RowSource::Text(reader) => {
-                TextFormat { encoding: reader.get_ref().inner.get_ref().1.encoding(), ..self.format.clone() }
-            }
-            RowSource::Binary { .. } => TextFormat { encoding: "UTF-8", ..self.format.clone() },
+            RowSource::Text(rows) => rows.format(),
+            RowSource::Binary { .. } => TextFormat { encoding: "UTF-8", ..TextFormat::default() },
         }
     }
 
     /// Returns the next row with trimmed fields, such as column names.
     pub(super) fn next_header(&mut self) -> Result<Option<CsvRow<'a>>, RecordingError> {
         let mut row = self.next_row()?.cloned();
-        row.iter_mut().for_each(|row| row.fields.trim());
+        row.iter_mut().for_each(|row| row.fields = row.fields.trimmed());
         Ok(row)
     }
 
@@ -133,24 +72,24 @@ impl<'a> RowReader<'a> {
     pub(super) fn next_row(&mut self) -> Result<Option<&CsvRow<'a>>, RecordingError> {
         let Self { rows, row, path, .. } = self;
         match rows {
-            RowSource::Text(reader) => loop {
-                match reader.read_record(&mut row.fields) {
-                    Ok(true) => {
-                        // `row.position` precedes blank lines; the reader's position follows the row.
-                        row.line = reader.position().line().saturating_sub(1);
-                        if row.fields.len() > 1 || !row.text(0).is_empty() {
-                            return Ok(Some(row));
-                        }
+            RowSource::Text(rows) => match rows.next_row(&mut row.fields) {
+                Ok(Some(line)) => {
+                    row.line = line;
+                    let last = row.fields.get(row.fields.len() - 1).unwrap_or_default().trim();
+                    let decimals = last.rfind(['.', ',']).map_or(0, |mark| last.len() - mark);
+                    // The end of the file may have cut off decimals, if each row has equally many.
+                    row.is_cut =
+                        rows.is_cut && self.decimals.is_some_and(|(count, is_fixed)| is_fixed && decimals < count);
+                    if decimals > 0 {
+                        let is_fixed = self.decimals.is_none_or(|(count, is_fixed)| is_fixed && count == decimals);
+                        self.decimals = Some((decimals, is_fixed));
                     }
-                    Ok(false) => return Ok(None),
-                    Err(error) => {
-                        // Errors occur inside the next row.
-                        row.line = reader.position().line();
-                        return Err(match error.into_kind() {
-                            csv::ErrorKind::Io(source) => row.io_error(source),
-                            other => row.io_error(io::Error::new(io::ErrorKind::InvalidData, format!("{other:?}"))),
-                        });
-                    }
+                    Ok((!row.is_cut).then_some(row))
+                }
+                Ok(None) => Ok(None),
+                Err((line, error)) => {
+                    row.line = line;
+                    Err(row.io_error(error))
                 }
             },
             RowSource::Binary { names, .. } if names.is_some() => {
@@ -168,6 +107,17 @@ impl<'a> RowReader<'a> {
         }
     }
 
+    /// Returns the row that was read last.
+    pub(super) fn row(&self) -> &CsvRow<'a> {
+        &self.row
+    }
+
+    /// Rejects a recording without samples, and reports a row that the end of the file cuts off.
+    pub(super) fn check_samples(&self, rows: usize, dropped: &mut Vec<DroppedItem>) -> Result<(), RecordingError> {
+        dropped.extend(self.row.is_cut.then(|| self.row.dropped_item(Omission::CutRow)));
+        if rows == 0 { self.reject_cut_short("its first sample") } else { Ok(()) }
+    }
+
     pub(super) fn reject_cut_short<T>(&self, expected: &'static str) -> Result<T, RecordingError> {
         self.row.reject_line(LineProblem::CutShort { expected })
     }
@@ -179,12 +129,18 @@ pub(super) struct CsvRow<'a> {
     decimal: DecimalMark,
     /// Line of a text; row of any other file.
     pub(super) line: u64,
-    pub(super) fields: StringRecord,
+    pub(super) fields: Fields,
     /// Numbers of a row that is no text.
     numbers: Vec<f64>,
+    /// True if the last field may lack its end.
+    pub(super) is_cut: bool,
 }
 
-impl CsvRow<'_> {
+impl<'a> CsvRow<'a> {
+    fn new(path: &'a Path, decimal: DecimalMark) -> Self {
+        Self { path, decimal, line: 0, fields: Fields::default(), numbers: Vec::new(), is_cut: false }
+    }
+
     pub(super) fn text(&self, index: usize) -> &str {
         self.fields.get(index).unwrap_or_default().trim()
     }
@@ -211,7 +167,18 @@ impl CsvRow<'_> {
         match parse_number(text, self.decimal) {
             Some(number) if (number * column.factor).is_finite() => Ok(Some(number * column.factor)),
             Some(number) if number.is_nan() => Ok(None),
-            _ => self.reject(&column.name, ColumnProblem::NotANumber { found: excerpt(text) }),
+            _ => {
+                let hint = match self.decimal {
+                    DecimalMark::Point if parse_number(text, DecimalMark::Comma).is_some() => {
+                        "; set decimal = \"comma\" in the map for decimal commas"
+                    }
+                    DecimalMark::Comma if parse_number(text, DecimalMark::Point).is_some() => {
+                        "; set decimal = \"point\" in the map for decimal points"
+                    }
+                    _ => "",
+                };
+                self.reject(&column.name, ColumnProblem::NotANumber { found: excerpt(text), hint })
+            }
         }
     }
 
@@ -265,19 +232,17 @@ impl CsvColumn {
     }
 }
 
-/// Counts rows and values, and rejects a file before it fills the memory.
-pub(super) struct RowLimiter<'h> {
-    names: &'h StringRecord,
-    values_per_row: usize,
+/// Counts rows, and rejects those without a field for each column.
+pub(super) struct RowCounter<'h> {
+    names: &'h Fields,
     pub(super) rows: usize,
 }
 
-impl<'h> RowLimiter<'h> {
-    pub(super) fn new(names: &'h StringRecord, values_per_row: usize) -> Self {
-        Self { names, values_per_row, rows: 0 }
+impl<'h> RowCounter<'h> {
+    pub(super) fn new(names: &'h Fields) -> Self {
+        Self { names, rows: 0 }
     }
 
-    /// Accepts a row with a field for each column within the limits.
     pub(super) fn check_row(&mut self, row: &CsvRow<'_>) -> Result<(), RecordingError> {
         let (expected, found) = (self.names.len(), row.fields.len());
         if found != expected {
@@ -285,12 +250,6 @@ impl<'h> RowLimiter<'h> {
             return row.reject(&column, ColumnProblem::FieldCount { expected, found });
         }
         self.rows += 1;
-        if self.rows > MAX_ROWS {
-            return row.reject_too_large(MAX_ROWS, "rows");
-        }
-        if self.rows.saturating_mul(self.values_per_row) > MAX_VALUES {
-            return row.reject_too_large(MAX_VALUES, "speeds and gaps");
-        }
         Ok(())
     }
 }

@@ -10,7 +10,7 @@ const MIN_SWITCH_ERRORS: f64 = 9.0;
 const SPEED_CHANGE_MPS2: f64 = 2.0;
 
 /// Samples of a follower and its leader.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub(super) struct PairSamples {
     pub(super) time_s: Vec<f64>,
     pub(super) line: Vec<u64>,
@@ -51,17 +51,22 @@ impl PairSamples {
         }
         let mut parts = Vec::new();
         for GapChange { to, .. } in found.into_iter().rev() {
-            parts.push(Self {
-                time_s: self.time_s.split_off(to),
-                line: self.line.split_off(to),
-                gaps_m: self.gaps_m.split_off(to),
-                followers_mps: self.followers_mps.split_off(to),
-                leaders_mps: self.leaders_mps.split_off(to),
-            });
+            parts.push(self.split_off(to));
         }
         parts.push(self);
         parts.reverse();
         parts
+    }
+
+    /// Splits the samples at an index, and returns those from it on.
+    pub(super) fn split_off(&mut self, at: usize) -> Self {
+        Self {
+            time_s: self.time_s.split_off(at),
+            line: self.line.split_off(at),
+            gaps_m: self.gaps_m.split_off(at),
+            followers_mps: self.followers_mps.split_off(at),
+            leaders_mps: self.leaders_mps.split_off(at),
+        }
     }
 
     fn switches(&self) -> Vec<GapChange> {

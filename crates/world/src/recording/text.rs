@@ -1,7 +1,7 @@
 //! Text of recordings: its encoding, and how it writes columns and numbers.
 
 use std::fmt;
-use std::io::{self, Read};
+use std::io::{self, BufRead, Read};
 
 use encoding_rs::{Decoder, DecoderResult, UTF_16BE, UTF_16LE, WINDOWS_1252};
 
@@ -138,13 +138,6 @@ impl<R: Read> Utf8Reader<R> {
         self.encoding
     }
 
-    /// Returns the beginning of the text, at least of one chunk.
-    pub(super) fn sample(&mut self) -> io::Result<Vec<u8>> {
-        let mut sample = Vec::new();
-        self.by_ref().take(CHUNK_BYTES as u64).read_to_end(&mut sample)?;
-        Ok(sample)
-    }
-
     /// Reads and converts a chunk. Returns false at the end.
     fn refill(&mut self) -> io::Result<bool> {
         if self.is_finished {
@@ -154,8 +147,8 @@ impl<R: Read> Utf8Reader<R> {
         loop {
             let count = self.inner.read(&mut self.input[end..])?;
             end += count;
-            // The first bytes show the encoding.
-            if count == 0 || self.is_started || end >= 64 {
+            // The first chunk shows the format.
+            if count == 0 || self.is_started || end == self.input.len() {
                 break;
             }
         }
@@ -205,17 +198,21 @@ impl<R: Read> Utf8Reader<R> {
     }
 }
 
+impl<R: Read> BufRead for Utf8Reader<R> {
+    fn fill_buf(&mut self) -> io::Result<&[u8]> {
+        while self.returned == self.output.len() && self.refill()? {}
+        Ok(&self.output[self.returned..])
+    }
+
+    fn consume(&mut self, count: usize) {
+        self.returned += count;
+    }
+}
+
 impl<R: Read> Read for Utf8Reader<R> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        while self.returned == self.output.len() {
-            if into.is_empty() || !self.refill()? {
-                return Ok(0);
-            }
-        }
-        let rest = &self.output[self.returned..];
-        let count = rest.len().min(into.len());
-        into[..count].copy_from_slice(&rest[..count]);
-        self.returned += count;
+        let count = self.fill_buf()?.read(into)?;
+        self.consume(count);
         Ok(count)
     }
 }

@@ -1,13 +1,18 @@
 //! Rows of tracks, as in highD and NGSIM: each row holds one vehicle among many at one instant.
 
 use std::collections::{BTreeSet, HashMap};
+use std::ops::Range;
+use std::sync::Arc;
 
+use super::acceleration::AccelerationCheck;
 use super::consistency::{Comparison, Hypothesis};
 use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, LineProblem, RecordingError};
 use super::map::{LengthSpec, LengthUnit, RecordingMapSpec, SpeedUnit, TracksSpec};
+use super::parts::{ALL_TIMES, MAX_POINTS, PART_ROWS, PartBounds, PartSink};
 use super::series::{Clock, ColumnQuantity, Series};
-use super::table::{CsvColumn, CsvRow, MAX_ROWS, RowLimiter, RowReader, excerpt};
+use super::spill::SpilledPoints;
+use super::table::{CsvColumn, CsvRow, RowCounter, RowReader, excerpt};
 use super::tracks::{self, TrackPoint, TrackRules, VehicleId};
 use super::{RecordedTraffic, Recording, RecordingFormat, TextFormat};
 
@@ -20,7 +25,8 @@ pub(super) fn read(
     table: &mut RowReader<'_>,
     (map, spec): (&RecordingMapSpec, &TracksSpec),
     names: &CsvRow<'_>,
-) -> Result<Recording, RecordingError> {
+    each: &mut PartSink<'_>,
+) -> Result<(), RecordingError> {
     let mut clock = Clock::find(names, &map.time)?;
     let vehicle = CsvColumn::find(names, &spec.vehicle, 1.0)?;
     let lane = spec.lane.as_ref().map(|name| CsvColumn::find(names, name, 1.0)).transpose()?;
@@ -31,11 +37,14 @@ pub(super) fn read(
         LengthSpec::Column(column) => (Some(series(&column.name, column.unit.factor(), ColumnQuantity::Length)?), 0.0),
         LengthSpec::Metres(metres) => (None, *metres),
     };
+    let mut acceleration = AccelerationCheck::find(names, &spec.speed)?;
     let (mut vehicles, mut lanes) = (TextIds::default(), TextIds::default());
-    let mut limiter = RowLimiter::new(&names.fields, 2);
-    let mut points = Vec::new();
+    let mut counter = RowCounter::new(&names.fields);
+    let (mut points, mut spilled) = (Vec::new(), SpilledPoints::default());
+    let path = table.path();
+    let disk = |source| RecordingError::Spill { path: path.to_owned(), source };
     while let Some(row) = table.next_row()? {
-        limiter.check_row(row)?;
+        counter.check_row(row)?;
         let time_s = clock.read(row)?;
         // SUMO writes a row without values for a time without vehicles.
         if [vehicle.index, position.column.index, speed.column.index].iter().all(|&index| row.text(index).is_empty()) {
@@ -49,48 +58,117 @@ pub(super) fn read(
         }
         let (position_m, speed_mps) = (position.read(row)?, speed.read(row)?);
         let length_m = length.as_mut().map_or(Ok(Some(constant_m)), |series| series.read(row))?;
+        let acceleration_mps2 =
+            acceleration.as_mut().map_or(Ok(None), |one| one.series.read(row))?.map(|mps2| mps2 as f32);
         // Points with unknown values stay in the list; without them, the next vehicle would seem to follow the wrong
         // leader.
         let time_ms = (time_s * 1000.0).round() as i64;
         let line = row.line;
-        points.push(TrackPoint { vehicle, lane, time_ms, line, position_m, speed_mps, length_m, ..Default::default() });
+        points.push(TrackPoint {
+            vehicle,
+            lane,
+            time_ms,
+            line,
+            position_m,
+            speed_mps,
+            length_m,
+            acceleration_mps2,
+            ..Default::default()
+        });
+        if points.len() > PART_ROWS {
+            spilled.write(&mut points).map_err(disk)?;
+        }
     }
-    if limiter.rows == 0 {
-        return table.reject_cut_short("its first sample");
-    }
-    let text = TextFormat { time: clock.detected(), ..table.format() };
-    let path = table.path();
     let mut dropped = Vec::new();
-    for series in [Some(&position), Some(&speed), length.as_ref()].into_iter().flatten() {
-        series.report(path, limiter.rows, &mut dropped);
+    table.check_samples(counter.rows, &mut dropped)?;
+    let accelerations = acceleration.as_ref().map(|one| &one.series);
+    for series in [Some(&position), Some(&speed), length.as_ref(), accelerations].into_iter().flatten() {
+        series.report(path, counter.rows, &mut dropped);
     }
-    let vehicles = vehicles.into_vehicles();
-    let item = |line, omission| DroppedItem { path: path.to_owned(), line, omission };
-    if let Some((first, count)) = tracks::sort(&mut points) {
-        let vehicle = tracks::label(&vehicles, first.vehicle);
-        dropped.push(item(first.line, Omission::DuplicateRows { vehicle, count }));
+    let time = (clock.column.factor, clock.detected());
+    let mut parts =
+        TrafficParts { table, map, spec, time, acceleration, vehicles: vehicles.into_vehicles().into(), dropped };
+    if spilled.is_empty() {
+        each(parts.part(points, ALL_TIMES)?)?;
+        return Ok(());
     }
-    let rules = TrackRules {
-        vehicle_column: &spec.vehicle,
-        reference: spec.position.of,
-        interpolate_s: map.interpolate_s,
-        lane_blip_s: spec.lane_blip_s,
-        speeds_agree: check(table, (map, spec), (&points, clock.column.factor), &mut dropped)?,
-    };
-    let mut omissions = Vec::new();
-    let traffic = RecordedTraffic::build(points, vehicles, rules, &mut omissions).map_err(|line| {
-        let problem = LineProblem::TooLarge { limit: MAX_ROWS, what: "rows, with those that are filled" };
-        RecordingError::Line { path: path.to_owned(), line, problem }
-    })?;
-    dropped.extend(omissions.into_iter().map(|(line, omission)| item(line, omission)));
-    Ok(Recording {
-        path: path.to_owned(),
-        format: RecordingFormat::from_map(map),
-        text,
-        platoons: Vec::new(),
-        traffic: Some(traffic),
-        dropped,
-    })
+    spilled.write(&mut points).map_err(disk)?;
+    let mut sorted = spilled.read().map_err(disk)?;
+    let mut bounds = PartBounds::new(0);
+    while let Some(point) = sorted.next().map_err(disk)? {
+        if bounds.ends_before(point.time_ms) {
+            let (core_ms, next_ms) = bounds.next();
+            let margin = points.partition_point(|known| known.time_ms < next_ms);
+            let margin = points.get(margin..).unwrap_or_default().to_vec();
+            let part = std::mem::replace(&mut points, margin);
+            if !each(parts.part(part, core_ms)?)? {
+                return Ok(());
+            }
+        }
+        points.push(point);
+    }
+    each(parts.part(points, bounds.next().0)?)?;
+    Ok(())
+}
+
+/// Context of the parts of a recording.
+struct TrafficParts<'t, 'p> {
+    table: &'t RowReader<'p>,
+    map: &'t RecordingMapSpec,
+    spec: &'t TracksSpec,
+    /// Size of the unit of time in seconds, and detected format.
+    time: (f64, Option<&'static str>),
+    acceleration: Option<AccelerationCheck>,
+    vehicles: Arc<[VehicleId]>,
+    /// Omissions in the rows, for the first part.
+    dropped: Vec<DroppedItem>,
+}
+
+impl TrafficParts<'_, '_> {
+    /// Builds the tracks of a part, whose margins lie outside of the core.
+    fn part(&mut self, mut points: Vec<TrackPoint>, core_ms: Range<i64>) -> Result<Recording, RecordingError> {
+        let Self { table, map, spec, acceleration, .. } = self;
+        let path = table.path();
+        points.iter_mut().for_each(|point| point.is_margin = !core_ms.contains(&point.time_ms));
+        let mut dropped = std::mem::take(&mut self.dropped);
+        let item = |line, omission| DroppedItem { path: path.to_owned(), line, omission };
+        if let Some((first, count)) = tracks::sort(&mut points) {
+            let vehicle = tracks::label(&self.vehicles, first.vehicle);
+            dropped.push(item(first.line, Omission::DuplicateRows { vehicle, count }));
+        }
+        let rules = TrackRules {
+            vehicle_column: &spec.vehicle,
+            reference: spec.position.of,
+            interpolate_s: map.interpolate_s,
+            lane_blip_s: spec.lane_blip_s,
+            speeds_agree: check(table, (map, spec), (&points, self.time.0), &mut dropped)?,
+        };
+        if let Some(acceleration) = acceleration {
+            for vehicle in points.chunk_by(|a, b| a.vehicle == b.vehicle) {
+                acceleration.restart();
+                for point in vehicle {
+                    let at = (point.time_ms as f64 / 1000.0, point.line);
+                    acceleration.add(at, point.speed_mps, point.acceleration_mps2.map(f64::from));
+                }
+            }
+            acceleration.check(table, &mut dropped)?;
+        }
+        let mut omissions = Vec::new();
+        let vehicles = self.vehicles.clone();
+        let traffic = RecordedTraffic::build(points, (vehicles, core_ms), rules, &mut omissions).map_err(|line| {
+            let problem = LineProblem::TooLarge { limit: MAX_POINTS, what: "rows, with those that are filled" };
+            RecordingError::Line { path: path.to_owned(), line, problem }
+        })?;
+        dropped.extend(omissions.into_iter().map(|(line, omission)| item(line, omission)));
+        Ok(Recording {
+            path: path.to_owned(),
+            format: RecordingFormat::from_map(map),
+            text: TextFormat { time: self.time.1, ..table.format() },
+            platoons: Vec::new(),
+            traffic: Some(traffic),
+            dropped,
+        })
+    }
 }
 
 /// Compares sorted positions with speeds. Returns whether they agree.

@@ -1,7 +1,7 @@
 //! Validation of maps.
 
-use super::super::platoons::column_number;
-use super::{LayoutSpec, LengthSpec, PairsSpec, PlatoonSpec, RecordingMapSpec, Spacing, TimeSpec};
+use super::super::platoon_columns::column_number;
+use super::{LayoutSpec, LengthSpec, PairsSpec, PlatoonSpec, RecordingMapSpec, Spacing, SpeedSpec, TimeSpec};
 
 pub(super) const MAP_VERSION: u32 = 1;
 const MAX_TEXT_LENGTH: usize = 200;
@@ -74,7 +74,7 @@ impl RecordingMapSpec {
     }
 
     /// Returns every field that names a column, with the name.
-    pub(super) fn columns(&self) -> Vec<(&'static str, &str)> {
+    pub(in crate::recording) fn columns(&self) -> Vec<(&'static str, &str)> {
         let time = match &self.time {
             TimeSpec::Clock(clock) => ("time.clock.column", Some(&clock.column)),
             TimeSpec::Frames(frames) => ("time.frames.column", Some(&frames.column)),
@@ -88,6 +88,8 @@ impl RecordingMapSpec {
                 ("layout.pairs.event", pairs.event.as_ref()),
                 ("layout.pairs.spacing.column", Some(&pairs.spacing.column)),
                 ("layout.pairs.follower_speed.column", pairs.follower_speed.as_ref().map(|speed| &speed.column)),
+                ("layout.pairs.follower_speed.acceleration.column", acceleration(pairs.follower_speed.as_ref())),
+                ("layout.pairs.leader_speed.acceleration.column", acceleration(pairs.leader_speed.as_ref())),
                 ("layout.pairs.leader_speed.column", pairs.leader_speed.as_ref().map(|speed| &speed.column)),
                 ("layout.pairs.relative_speed.column", pairs.relative_speed.as_ref().map(|speed| &speed.column)),
             ],
@@ -96,6 +98,7 @@ impl RecordingMapSpec {
                 ("layout.tracks.lane", tracks.lane.as_ref()),
                 ("layout.tracks.position.column", Some(&tracks.position.column)),
                 ("layout.tracks.speed.column", Some(&tracks.speed.column)),
+                ("layout.tracks.speed.acceleration.column", acceleration(Some(&tracks.speed))),
                 (
                     "layout.tracks.length.column.name",
                     match &tracks.length {
@@ -119,6 +122,10 @@ fn check_platoon(spec: &PlatoonSpec) -> Result<(), (String, String)> {
     }
     for (field, line) in [("names_line", &spec.names_line), ("count_line", &spec.count_line)] {
         line.as_ref().map_or(Ok(()), |line| check_name(&format!("layout.platoon.{field}"), line))?;
+    }
+    if spec.speed.acceleration.is_some() {
+        let problem = "acceleration: is not used for platoons: remove it";
+        return Err(("layout.platoon.speed".to_owned(), problem.to_owned()));
     }
     check_length("layout.platoon", spec.spacing.from, spec.length_m)
 }
@@ -162,4 +169,8 @@ fn check_range(field: &str, found: f64, [min, max]: [f64; 2]) -> Result<(), (Str
     } else {
         Err((field.to_owned(), format!("must be from {min} to {max}, found {found}")))
     }
+}
+
+fn acceleration(speed: Option<&SpeedSpec>) -> Option<&String> {
+    Some(&speed?.acceleration.as_ref()?.column)
 }

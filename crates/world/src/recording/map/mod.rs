@@ -9,7 +9,9 @@ use std::path::PathBuf;
 use serde::{Deserialize, Serialize};
 
 pub use built_in::{BUILT_IN_MAPS, RecordingMap};
-pub use units::{DecimalMark, Delimiter, LengthUnit, SpeedUnit, TimeUnit};
+pub use units::{
+    AccelerationUnit, DecimalMark, Delimiter, LengthUnit, ReferencePoint, Sign, Spacing, SpeedUnit, TimeUnit,
+};
 
 /// Content of a map file.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -190,6 +192,21 @@ pub struct SpeedSpec {
     /// Unit. Default: m/s.
     #[serde(default)]
     pub unit: SpeedUnit,
+    /// Column of the accelerations, which only checks the speeds. Default: none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub acceleration: Option<AccelerationSpec>,
+}
+
+/// A column of accelerations, positive when the speed grows.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct AccelerationSpec {
+    /// Name of the column.
+    pub column: String,
+    /// Unit. Default: m/s2.
+    #[serde(default)]
+    pub unit: AccelerationUnit,
 }
 
 /// A column of speed differences.
@@ -257,45 +274,6 @@ pub struct LengthColumnSpec {
     /// Unit. Default: metres.
     #[serde(default)]
     pub unit: LengthUnit,
-}
-
-/// Sign of a speed difference.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(rename_all = "kebab-case")]
-pub enum Sign {
-    /// Negative when the gap closes.
-    #[default]
-    LeaderMinusFollower,
-    /// Positive when the gap closes.
-    FollowerMinusLeader,
-}
-
-/// Reference points of a spacing.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(rename_all = "kebab-case")]
-pub enum Spacing {
-    /// From the leader's rear bumper to the own front bumper.
-    #[default]
-    BumperToBumper,
-    /// From front bumper to front bumper, which includes the length of the leader.
-    FrontToFront,
-}
-
-/// A reference point of a vehicle.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(rename_all = "kebab-case")]
-pub enum ReferencePoint {
-    /// Front bumper.
-    Front,
-    /// Midpoint between the bumpers.
-    Centre,
-    /// Rear bumper.
-    Rear,
-    /// Bumper with the smaller position, as in highD: the front one of vehicles that drive towards smaller positions.
-    LowEnd,
 }
 
 /// Returns the JSON Schema of maps.

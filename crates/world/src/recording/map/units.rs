@@ -68,6 +68,19 @@ units! {
     }
 }
 
+units! {
+    /// Units of acceleration.
+    AccelerationUnit {
+        /// Metres per second squared.
+        #[default]
+        MetresPerSecondSquared = "m/s2": 1.0;
+        /// Feet per second squared.
+        FeetPerSecondSquared = "ft/s2": 0.3048;
+        /// Standard gravity.
+        Gravity = "g": 9.806_65;
+    }
+}
+
 /// A separator of columns.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -102,4 +115,43 @@ pub enum DecimalMark {
     Point,
     /// `,`
     Comma,
+}
+
+/// Sign of a speed difference.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum Sign {
+    /// Negative when the gap closes.
+    #[default]
+    LeaderMinusFollower,
+    /// Positive when the gap closes.
+    FollowerMinusLeader,
+}
+
+/// Reference points of a spacing.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum Spacing {
+    /// From the leader's rear bumper to the own front bumper.
+    #[default]
+    BumperToBumper,
+    /// From front bumper to front bumper, which includes the length of the leader.
+    FrontToFront,
+}
+
+/// A reference point of a vehicle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum ReferencePoint {
+    /// Front bumper.
+    Front,
+    /// Midpoint between the bumpers.
+    Centre,
+    /// Rear bumper.
+    Rear,
+    /// Bumper with the smaller position, as in highD: the front one of vehicles that drive towards smaller positions.
+    LowEnd,
 }

@@ -2,6 +2,7 @@
 
 use std::collections::HashSet;
 use std::io::{self, Read, Seek, SeekFrom};
+use std::ops::Range;
 
 use flate2::read::ZlibDecoder;
 
@@ -24,7 +25,7 @@ pub(super) struct Blocks {
 }
 
 pub(super) struct Block {
-    at: u64,
+    pub(super) at: u64,
     links: Vec<u64>,
     data: Vec<u8>,
 }
@@ -148,28 +149,6 @@ impl Blocks {
         Ok(offsets)
     }
 
-    /// Passes the content of a data block, in chunks.
-    pub(super) fn read_data(
-        &mut self,
-        at: u64,
-        take: &mut dyn FnMut(&[u8]) -> Result<(), MdfError>,
-    ) -> Result<(), MdfError> {
-        let header = self.header(at)?;
-        match &header.kind {
-            b"DT" => {
-                let (mut from, end) = (at + HEADER_BYTES + 8 * header.links, at.saturating_add(header.bytes));
-                while from < end {
-                    let count = CHUNK_BYTES.min(end - from);
-                    take(&self.bytes(from, count)?)?;
-                    from += count;
-                }
-                Ok(())
-            }
-            b"DZ" => take(&self.decompress(at)?),
-            _ => Err(damaged(at, "the block holds no samples")),
-        }
-    }
-
     fn decompress(&mut self, at: u64) -> Result<Vec<u8>, MdfError> {
         let fields = self.bytes(at + HEADER_BYTES, 24)?;
         let number = |from, count| little_endian(&fields, from, count).unwrap_or(0);
@@ -195,6 +174,34 @@ impl Blocks {
             return Ok(rows_first);
         }
         Ok(plain)
+    }
+}
+
+/// Data blocks, read in chunks.
+pub(super) struct DataCursor {
+    offsets: std::vec::IntoIter<u64>,
+    /// Rest of the current block.
+    rest: Range<u64>,
+}
+
+impl DataCursor {
+    pub(super) fn new(offsets: Vec<u64>) -> Self {
+        Self { offsets: offsets.into_iter(), rest: 0..0 }
+    }
+
+    pub(super) fn next_chunk(&mut self, blocks: &mut Blocks) -> Result<Option<Vec<u8>>, MdfError> {
+        while self.rest.is_empty() {
+            let Some(at) = self.offsets.next() else { return Ok(None) };
+            let header = blocks.header(at)?;
+            match &header.kind {
+                b"DT" => self.rest = at + HEADER_BYTES + 8 * header.links..at.saturating_add(header.bytes),
+                b"DZ" => return blocks.decompress(at).map(Some),
+                _ => return Err(damaged(at, "the block holds no samples")),
+            }
+        }
+        let (from, count) = (self.rest.start, CHUNK_BYTES.min(self.rest.end - self.rest.start));
+        self.rest.start += count;
+        blocks.bytes(from, count).map(Some)
     }
 }
 

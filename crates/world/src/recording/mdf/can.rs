@@ -2,7 +2,7 @@
 
 use std::collections::HashMap;
 use std::io::Read;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use can_dbc::{ByteOrder, Dbc, ExtendedMultiplex, Message, MessageId, MultiplexIndicator, ValueType};
 use can_dbc::{Signal as DbcSignal, SignalExtendedValueType};
@@ -16,6 +16,8 @@ const MAX_DBC_BYTES: u64 = 16 << 20;
 #[derive(Debug, Clone)]
 pub struct DbcFile {
     dbc: Dbc,
+    path: PathBuf,
+    text: String,
 }
 
 /// A signal of a message that is decoded.
@@ -48,7 +50,7 @@ impl DbcFile {
     /// # Errors
     /// [`MdfError::Dbc`] for a file that cannot be read, is too long, or is no DBC file.
     pub fn load(path: &Path) -> Result<Self, MdfError> {
-        let error = |problem: String| MdfError::Dbc { path: path.to_owned(), problem };
+        let error = |problem: String| MdfError::Dbc { path: path.to_owned(), line: None, problem };
         let mut bytes = Vec::new();
         let file = std::fs::File::open(path).map_err(|source| error(source.to_string()))?;
         file.take(MAX_DBC_BYTES + 1).read_to_end(&mut bytes).map_err(|source| error(source.to_string()))?;
@@ -60,26 +62,71 @@ impl DbcFile {
     /// # Errors
     /// [`MdfError::Dbc`] if the text is no DBC file, or exceeds a limit.
     pub fn parse(bytes: &[u8], path: &Path) -> Result<Self, MdfError> {
-        let error = |problem: String| MdfError::Dbc { path: path.to_owned(), problem };
+        let error = |line, problem| MdfError::Dbc { path: path.to_owned(), line, problem };
         if bytes.len() as u64 > MAX_DBC_BYTES {
-            return Err(error(format!("has more than {MAX_DBC_BYTES} bytes")));
+            return Err(error(None, format!("has more than {MAX_DBC_BYTES} bytes")));
         }
         let (text, _, _) = encoding_rs::WINDOWS_1252.decode(bytes);
         let text = std::str::from_utf8(bytes).unwrap_or(&text);
-        let in_one_line = |text: String| text.split_whitespace().collect::<Vec<_>>().join(" ");
-        let dbc = Dbc::try_from(text).map_err(|problem| error(in_one_line(problem.to_string())))?;
-        Ok(Self { dbc })
+        let dbc = Dbc::try_from(text).map_err(|problem| {
+            // A syntax error contains ` --> line:column` and the names of grammar rules.
+            let problem = problem.to_string();
+            let line = problem.split_once("--> ").and_then(|(_, rest)| rest.split(':').next()?.trim().parse().ok());
+            match line {
+                Some(line) => error(Some(line), "this is no valid line of a DBC file".to_owned()),
+                None => error(None, problem.split_whitespace().collect::<Vec<_>>().join(" ")),
+            }
+        })?;
+        Ok(Self { dbc, path: path.to_owned(), text: text.to_owned() })
     }
 
-    /// Adds the wanted signals and returns their decoder. A name may begin with that of the message and a point.
-    pub(super) fn decoder(&self, wanted: &dyn Fn(&str) -> bool, signals: &mut SignalSet) -> FrameDecoder {
+    /// Returns an error at the last definition of a message, or at a signal of it.
+    fn error(&self, message: &Message, signal: Option<&str>, problem: String) -> MdfError {
+        let starts = |line: &str, words: [&str; 2]| {
+            let mut found = line.split(|letter: char| letter.is_whitespace() || letter == ':');
+            let mut found = found.by_ref().filter(|word| !word.is_empty());
+            words.into_iter().all(|word| found.next() == Some(word))
+        };
+        let id = message.id.raw().to_string();
+        let begin = self.text.lines().enumerate().filter(|(_, line)| starts(line, ["BO_", &id])).last();
+        let line = begin.and_then(|(from, _)| match signal {
+            None => Some(from),
+            Some(signal) => (from..)
+                .zip(self.text.lines().skip(from))
+                .find(|(_, line)| starts(line, ["SG_", signal]))
+                .map(|(at, _)| at),
+        });
+        MdfError::Dbc { path: self.path.clone(), line: line.map(|line| line + 1), problem }
+    }
+
+    /// Adds the wanted signals and returns their decoder. The error is a message that is defined twice, or a signal
+    /// beyond the end of its message. A name may begin with that of the message and a point.
+    pub(super) fn decoder(
+        &self,
+        wanted: &dyn Fn(&str) -> bool,
+        signals: &mut SignalSet,
+    ) -> Result<FrameDecoder, MdfError> {
         let mut decoder = FrameDecoder::new();
         for message in &self.dbc.messages {
             let name = |signal: &DbcSignal| {
                 let qualified = format!("{}.{}", message.name, signal.name);
                 [qualified, signal.name.clone()].into_iter().find(|name| wanted(name))
             };
-            for (signal, name) in message.signals.iter().filter_map(|signal| Some((signal, name(signal)?))) {
+            let wanted: Vec<_> = message.signals.iter().filter_map(|signal| Some((signal, name(signal)?))).collect();
+            if !wanted.is_empty() && decoder.contains_key(&message.id) {
+                return Err(self.error(message, None, format!("message {} is defined twice", message.id.raw())));
+            }
+            for (signal, name) in wanted {
+                let start = match signal.byte_order {
+                    // Bits count from the least significant one of each byte.
+                    ByteOrder::BigEndian => signal.start_bit ^ 7,
+                    ByteOrder::LittleEndian => signal.start_bit,
+                };
+                if start.saturating_add(signal.size) > message.size.saturating_mul(8) {
+                    let problem =
+                        format!("signal {} goes beyond the {} bytes of its message", signal.name, message.size);
+                    return Err(self.error(message, Some(&signal.name), problem));
+                }
                 // Frames without the signal, by a multiplexer, have no place in its clock.
                 let clock = signals.add_clock();
                 let index = signals.add(name, signal.unit.clone(), clock);
@@ -87,7 +134,7 @@ impl DbcFile {
                 decoder.entry(message.id).or_default().push(found);
             }
         }
-        decoder
+        Ok(decoder)
     }
 
     fn frame_signal(&self, message: &Message, signal: &DbcSignal, index: usize) -> FrameSignal {

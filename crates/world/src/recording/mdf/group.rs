@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use super::blocks::{Block, Blocks, little_endian};
+use super::blocks::{Block, Blocks, DataCursor, little_endian};
 use super::can::FrameDecoder;
 use super::channel::Channel;
 use super::{MAX_CHANNELS, MdfError, SignalSet};
@@ -23,6 +23,11 @@ pub(super) struct DataGroup {
     groups: Vec<Group>,
     /// Bytes of an incomplete record.
     rest: Vec<u8>,
+    data: DataCursor,
+    /// Offset of the block of the group.
+    at: u64,
+    /// Last time that was read, in seconds.
+    pub(super) newest_s: f64,
 }
 
 struct Group {
@@ -67,36 +72,45 @@ impl DataGroup {
         if id_bytes == 0 && groups.len() > 1 {
             return Err(block.damaged("several groups have no record ids"));
         }
-        Ok(Self { id_bytes, groups, rest: Vec::new() })
+        let is_needed = groups.iter().any(Group::is_needed);
+        let offsets = if is_needed { blocks.data_blocks(block.link(2))? } else { Vec::new() };
+        let data = DataCursor::new(offsets);
+        Ok(Self { id_bytes, groups, rest: Vec::new(), data, at: block.at, newest_s: f64::NEG_INFINITY })
     }
 
     pub(super) fn is_needed(&self) -> bool {
         self.groups.iter().any(Group::is_needed)
     }
 
-    /// Adds the records of a chunk of data.
-    pub(super) fn add(
+    /// Adds the records of the next chunk of data. Returns false at the end.
+    pub(super) fn advance(
         &mut self,
-        bytes: &[u8],
+        blocks: &mut Blocks,
         decoder: &FrameDecoder,
         signals: &mut SignalSet,
-    ) -> Result<(), MdfError> {
+    ) -> Result<bool, MdfError> {
+        let Some(chunk) = self.data.next_chunk(blocks)? else {
+            let damaged = MdfError::Damaged { offset: self.at, problem: "the samples end inside a record" };
+            return if self.rest.is_empty() { Ok(false) } else { Err(damaged) };
+        };
         // Records are contiguous, except for one at the border of two chunks.
         let joined;
         let mut bytes = if self.rest.is_empty() {
-            bytes
+            &chunk[..]
         } else {
-            self.rest.extend_from_slice(bytes);
+            self.rest.extend_from_slice(&chunk);
             joined = std::mem::take(&mut self.rest);
             &joined[..]
         };
         while let Some((index, content)) = self.next_record(bytes)? {
             let end = content.end;
-            self.groups[index].add(&bytes[content], decoder, signals)?;
+            if let Some(time_s) = self.groups[index].add(&bytes[content], decoder, signals)? {
+                self.newest_s = time_s;
+            }
             bytes = &bytes[end..];
         }
         self.rest.extend_from_slice(bytes);
-        Ok(())
+        Ok(true)
     }
 
     /// Returns the index of the group of the first record, and the place of its content, which is empty for a value of
@@ -116,10 +130,6 @@ impl DataGroup {
         }
         let end = self.id_bytes + group.record_bytes;
         Ok((end <= bytes.len()).then_some((index, self.id_bytes..end)))
-    }
-
-    pub(super) fn finish(&self, block: &Block) -> Result<(), MdfError> {
-        if self.rest.is_empty() { Ok(()) } else { Err(block.damaged("the samples end inside a record")) }
     }
 }
 
@@ -194,26 +204,24 @@ impl Group {
         !self.channels.is_empty() || self.frames.is_some()
     }
 
-    fn add(&mut self, record: &[u8], decoder: &FrameDecoder, signals: &mut SignalSet) -> Result<(), MdfError> {
-        let Some((clock, master)) = self.clock.as_ref().filter(|_| self.is_needed()) else { return Ok(()) };
+    /// Adds the values of a record. Returns its time.
+    fn add(&mut self, record: &[u8], decoder: &FrameDecoder, signals: &mut SignalSet) -> Result<Option<f64>, MdfError> {
+        let Some((clock, master)) = self.clock.as_ref().filter(|_| self.is_needed()) else { return Ok(None) };
         let time_s = master.value(record, self.rows);
         if !self.channels.is_empty() {
-            signals.count(1 + self.channels.len())?;
-            signals.clocks_s[*clock].push(time_s);
+            signals.add_time(*clock, time_s, self.channels.len())?;
             for (signal, channel) in &self.channels {
                 signals.signals[*signal].values.push(channel.value(record, self.rows));
             }
         }
         if let Some(layout) = &self.frames {
             for (signal, value) in layout.decode(record, decoder) {
-                signals.count(2)?;
-                let signal = &mut signals.signals[signal];
-                signals.clocks_s[signal.clock].push(time_s);
-                signal.values.push(value);
+                signals.add_time(signals.signals[signal].clock, time_s, 1)?;
+                signals.signals[signal].values.push(value);
             }
         }
         self.rows += 1;
-        Ok(())
+        Ok(Some(time_s))
     }
 }
 

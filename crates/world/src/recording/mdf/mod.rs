@@ -15,10 +15,13 @@ use std::path::PathBuf;
 
 use blocks::Blocks;
 pub use can::DbcFile;
+use can::FrameDecoder;
 use group::DataGroup;
 
-use super::table::MAX_VALUES;
-
+/// Maximum number of values in memory: 160 MB.
+const MAX_VALUES: usize = 20_000_000;
+/// Number of values from which on those that are not needed any more are removed: 32 MB.
+const BUFFER_VALUES: usize = 4_000_000;
 /// Maximum number of channels of a file.
 const MAX_CHANNELS: usize = 100_000;
 
@@ -46,10 +49,12 @@ pub enum MdfError {
     #[error("crumple cannot read {0}")]
     Unsupported(String),
     /// A DBC file that cannot be read.
-    #[error("{}: {problem}", path.display())]
+    #[error("{}{}: {problem}", path.display(), line.map(|line| format!(":{line}")).unwrap_or_default())]
     Dbc {
         /// Path of the DBC file.
         path: PathBuf,
+        /// Line, from 1, if known.
+        line: Option<usize>,
         /// Problem of the file.
         problem: String,
     },
@@ -65,7 +70,10 @@ pub struct SignalSet {
     pub signals: Vec<Signal>,
     /// Times of each clock, in seconds.
     pub clocks_s: Vec<Vec<f64>>,
+    /// Number of values and times.
     values: usize,
+    /// Time from which on all further values must be, in seconds.
+    from_s: Option<f64>,
 }
 
 /// A signal.
@@ -81,6 +89,57 @@ pub struct Signal {
     pub values: Vec<f64>,
 }
 
+/// Signals of a file, read as far as they are needed.
+pub(super) struct SignalStream {
+    blocks: Blocks,
+    decoder: FrameDecoder,
+    groups: Vec<DataGroup>,
+    /// Values that were read and are still needed.
+    pub(super) set: SignalSet,
+}
+
+impl SignalStream {
+    /// Opens a file for the signals with wanted names.
+    pub(super) fn open(
+        source: impl MdfSource + 'static,
+        dbc: Option<&DbcFile>,
+        wanted: &dyn Fn(&str) -> bool,
+    ) -> Result<Self, MdfError> {
+        let mut blocks = Blocks::new(Box::new(source))?;
+        let mut set = SignalSet::default();
+        let decoder = dbc.map(|dbc| dbc.decoder(wanted, &mut set)).transpose()?.unwrap_or_default();
+        let mut groups = Vec::new();
+        let mut at = blocks.read(64, b"HD")?.link(0);
+        while let Some(block) = blocks.find_once(at, b"DG")? {
+            let group = DataGroup::read(&mut blocks, &block, wanted, (&decoder, &mut set))?;
+            groups.extend(Some(group).filter(DataGroup::is_needed));
+            at = block.link(0);
+        }
+        Ok(Self { blocks, decoder, groups, set })
+    }
+
+    /// Returns the time up to which all values are read; `None` at the end of the file.
+    pub(super) fn read_until_s(&self) -> Option<f64> {
+        self.groups.iter().map(|group| group.newest_s).min_by(f64::total_cmp)
+    }
+
+    /// Returns whether the memory for values is used.
+    pub(super) fn is_full(&self) -> bool {
+        self.set.values >= BUFFER_VALUES
+    }
+
+    /// Reads a chunk of the group whose values end first. Returns false at the end of the file.
+    pub(super) fn advance(&mut self) -> Result<bool, MdfError> {
+        let Self { blocks, decoder, groups, set } = self;
+        let lagging = groups.iter().enumerate().min_by(|(_, a), (_, b)| a.newest_s.total_cmp(&b.newest_s));
+        let Some(index) = lagging.map(|(index, _)| index) else { return Ok(false) };
+        if !groups[index].advance(blocks, decoder, set)? {
+            groups.remove(index);
+        }
+        Ok(true)
+    }
+}
+
 impl SignalSet {
     /// Reads the signals with wanted names.
     ///
@@ -91,21 +150,32 @@ impl SignalSet {
         dbc: Option<&DbcFile>,
         wanted: &dyn Fn(&str) -> bool,
     ) -> Result<Self, MdfError> {
-        let mut blocks = Blocks::new(Box::new(source))?;
-        let mut signals = Self::default();
-        let decoder = dbc.map(|dbc| dbc.decoder(wanted, &mut signals)).unwrap_or_default();
-        let mut at = blocks.read(64, b"HD")?.link(0);
-        while let Some(block) = blocks.find_once(at, b"DG")? {
-            let mut group = DataGroup::read(&mut blocks, &block, wanted, (&decoder, &mut signals))?;
-            if group.is_needed() {
-                for offset in blocks.data_blocks(block.link(2))? {
-                    blocks.read_data(offset, &mut |bytes| group.add(bytes, &decoder, &mut signals))?;
-                }
-                group.finish(&block)?;
-            }
-            at = block.link(0);
+        let mut stream = SignalStream::open(source, dbc, wanted)?;
+        while stream.advance()? {}
+        Ok(stream.set)
+    }
+
+    /// Removes the first `counts` values of each clock and its signals; later values must be from a time on.
+    pub(super) fn forget(&mut self, counts: &[usize], from_s: Option<f64>) {
+        let Self { signals, clocks_s, values, .. } = self;
+        let lists = clocks_s.iter_mut().zip(0..).chain(signals.iter_mut().map(|one| (&mut one.values, one.clock)));
+        for (list, clock) in lists {
+            let count = counts.get(clock).copied().unwrap_or(0).min(list.len());
+            list.drain(..count);
+            *values -= count;
         }
-        Ok(signals)
+        self.from_s = from_s;
+    }
+
+    /// Adds a time to a clock. Counts it and `values` values at this time.
+    fn add_time(&mut self, clock: usize, time_s: f64, values: usize) -> Result<(), MdfError> {
+        if self.from_s.is_some_and(|from_s| time_s < from_s) {
+            let problem = "a long recording whose groups are not in order of time: save it again in this order";
+            return Err(MdfError::Unsupported(problem.to_owned()));
+        }
+        self.clocks_s[clock].push(time_s);
+        self.values += 1 + values;
+        if self.values > MAX_VALUES { Err(MdfError::TooLarge) } else { Ok(()) }
     }
 
     fn add_clock(&mut self) -> usize {
@@ -116,10 +186,5 @@ impl SignalSet {
     fn add(&mut self, name: String, unit: String, clock: usize) -> usize {
         self.signals.push(Signal { name, unit, clock, values: Vec::new() });
         self.signals.len() - 1
-    }
-
-    fn count(&mut self, values: usize) -> Result<(), MdfError> {
-        self.values += values;
-        if self.values > MAX_VALUES { Err(MdfError::TooLarge) } else { Ok(()) }
     }
 }

@@ -1,7 +1,7 @@
 //! Interpolation of short holes in tracks.
 
+use super::super::parts::MAX_POINTS;
 use super::super::series::interpolate_holes;
-use super::super::table::MAX_ROWS;
 use super::{Occurrences, TrackPoint, to_ms};
 
 const OPTIONAL_FIELDS: [fn(&mut TrackPoint) -> &mut Option<f64>; 3] =
@@ -50,7 +50,7 @@ pub(super) fn fill_holes(points: &mut Vec<TrackPoint>, longest_s: f64) -> Result
                 ..*a
             });
         }
-        if points.len() + filled.len() > MAX_ROWS {
+        if points.len() + filled.len() > MAX_POINTS {
             return Err(a.line);
         }
     }

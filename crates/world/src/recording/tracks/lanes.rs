@@ -24,7 +24,7 @@ pub(super) fn remove_blips(points: &mut [TrackPoint], shortest_ms: i64) -> Optio
                 lane = point.lane;
             }
             let is_blip = point.lane != lane;
-            if is_blip && !was_blip {
+            if is_blip && !was_blip && !point.is_margin {
                 found.get_or_insert((*point, 0)).1 += 1;
             }
             (point.lane, was_blip) = (lane, is_blip);

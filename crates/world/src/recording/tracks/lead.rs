@@ -1,5 +1,7 @@
 //! Tracks as leaders of episodes.
 
+use std::ops::Range;
+
 use super::super::episode::EpisodeVehicle;
 use super::super::lead_vehicles::{LeadVehicle, VehicleAhead};
 use super::super::motion::{SpeedSample, split_at_holes};
@@ -102,5 +104,9 @@ impl LeadVehicle for TrafficLead<'_> {
 
     fn event(&self) -> Option<&str> {
         None
+    }
+
+    fn core_ms(&self) -> Range<i64> {
+        self.traffic.core_ms.clone()
     }
 }

@@ -1,6 +1,6 @@
 //! Links of leaders and followers.
 
-use std::cmp::Ordering;
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::super::series::{ColumnQuantity, round_to_milli};
@@ -69,22 +69,22 @@ impl Absence {
 /// point of that lane at that time is linked. A vehicle with unknown length is not linked. No points are linked if a
 /// vehicle that has rows before and after may be between them.
 pub(super) fn link(points: &mut [TrackPoint]) -> LinkProblems {
-    let mut order: Vec<u32> = (0..points.len() as u32).collect();
     let at = |points: &[TrackPoint], index: u32| points.get(index as usize).copied();
     let row = |point: &TrackPoint| (point.time_ms, point.lane, point.position_decreases);
     let unplaced = || points.iter().filter(|point| point.position_m.is_none() || point.length_m.is_none());
+    let unplaced = || unplaced().filter(|point| !point.is_margin);
     let unknown_position = unplaced().map(|point| point.line).min().map(|first| (first, unplaced().count()));
     let unlinkable: BTreeSet<_> = points.iter().filter(|point| point.position_m.is_none()).map(row).collect();
-    order.sort_by(|&a, &b| match (at(points, a), at(points, b)) {
-        (Some(a), Some(b)) => row(&a).cmp(&row(&b)).then(b.front_m.total_cmp(&a.front_m)),
-        _ => Ordering::Equal,
-    });
+    // By row, front to rear.
+    let key = |(point, index): (&TrackPoint, u32)| (row(point), Reverse(total_order(point.front_m)), index);
+    let mut order: Vec<_> = points.iter().zip(0..).map(key).collect();
+    order.sort_unstable();
     let mut to_come = absences(points).into_iter().enumerate().peekable();
     // By the end of the absence.
     let mut absent_now: BTreeMap<(i64, usize), Absence> = BTreeMap::new();
     let (mut overlapping, mut absent) = (None, None);
     for pair in order.windows(2) {
-        let &[front, rear] = pair else { continue };
+        let &[(_, _, front), (_, _, rear)] = pair else { continue };
         let (Some(ahead), Some(behind)) = (at(points, front), at(points, rear)) else { continue };
         if row(&ahead) != row(&behind) || unlinkable.contains(&row(&ahead)) {
             continue;
@@ -101,10 +101,10 @@ pub(super) fn link(points: &mut [TrackPoint]) -> LinkProblems {
         let hides_vehicle = |absence: &Absence| absence.may_be_between(&ahead, rear_m, behind.front_m);
         if !ColumnQuantity::Gap.allows(gap_m) {
             if round_to_milli(gap_m) <= 0.0 {
-                count(&mut overlapping, behind.line);
+                count(&mut overlapping, &behind);
             }
         } else if absent_now.len() > MAX_ABSENT || absent_now.values().any(hides_vehicle) {
-            count(&mut absent, behind.line);
+            count(&mut absent, &behind);
         } else {
             if let Some(point) = points.get_mut(rear as usize) {
                 point.ahead = Some((gap_m, front));
@@ -133,4 +133,10 @@ fn absences(points: &[TrackPoint]) -> Vec<Absence> {
     }
     absences.sort_by_key(|absence| absence.from_ms);
     absences
+}
+
+/// Returns an integer in the order of [`f64::total_cmp`].
+fn total_order(number: f64) -> i64 {
+    let bits = number.to_bits() as i64;
+    bits ^ ((bits >> 63) as u64 >> 1) as i64
 }

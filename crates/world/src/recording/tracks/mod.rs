@@ -14,16 +14,21 @@ mod split;
 #[cfg(test)]
 mod tests;
 
+use std::ops::Range;
+use std::sync::Arc;
+
 use super::dropped::Omission;
 use super::map::ReferencePoint;
 use super::table::excerpt;
 
 /// Vehicles with changing neighbours.
-#[derive(Debug, Clone, PartialEq, Default)]
+#[derive(Debug, Clone, PartialEq)]
 pub struct RecordedTraffic {
     /// Points sorted by track, then by time. The tracks of one vehicle are in order of time.
     points: Vec<TrackPoint>,
-    vehicles: Vec<VehicleId>,
+    vehicles: Arc<[VehicleId]>,
+    /// Times at which braking belongs to this part of the recording.
+    core_ms: Range<i64>,
 }
 
 /// Identity of a vehicle.
@@ -49,10 +54,13 @@ pub(super) struct TrackPoint {
     /// Speed as recorded, of either sign, in m/s; without sign after orientation.
     pub(super) speed_mps: Option<f64>,
     pub(super) length_m: Option<f64>,
+    pub(super) acceleration_mps2: Option<f32>,
     /// Front bumper in the direction of driving, in metres; meaningless if position or length is unknown.
     pub(super) front_m: f64,
     /// True if positions decrease as the vehicle drives.
     pub(super) position_decreases: bool,
+    /// True in the margins of a part of a recording, where another part counts omissions.
+    pub(super) is_margin: bool,
     /// Gap ahead, in metres, and index of the leader's point.
     pub(super) ahead: Option<(f64, u32)>,
     /// Index of the follower's point.
@@ -75,8 +83,10 @@ pub(super) struct TrackRules<'m> {
 /// Occurrences of one kind: line of the first, and number.
 type Occurrences = Option<(u64, usize)>;
 
-fn count(occurrences: &mut Occurrences, line: u64) {
-    occurrences.get_or_insert((line, 0)).1 += 1;
+fn count(occurrences: &mut Occurrences, point: &TrackPoint) {
+    if !point.is_margin {
+        occurrences.get_or_insert((point.line, 0)).1 += 1;
+    }
 }
 
 fn to_ms(seconds: f64) -> i64 {
@@ -86,11 +96,11 @@ fn to_ms(seconds: f64) -> i64 {
 /// Sorts points by vehicle and time, and keeps the first of several points of a vehicle at one time. Returns the first
 /// duplicate and the number of duplicates.
 pub(super) fn sort(points: &mut Vec<TrackPoint>) -> Option<(TrackPoint, usize)> {
-    points.sort_unstable_by_key(|point| (point.vehicle, point.time_ms, point.line));
+    points.sort_by_cached_key(|point| (point.vehicle, point.time_ms, point.line));
     let mut duplicate: Option<(TrackPoint, usize)> = None;
     points.dedup_by(|later, first| {
         let is_twice = (later.vehicle, later.time_ms) == (first.vehicle, first.time_ms);
-        if is_twice {
+        if is_twice && !later.is_margin {
             duplicate.get_or_insert((*later, 0)).1 += 1;
         }
         is_twice
@@ -103,7 +113,7 @@ impl RecordedTraffic {
     /// first occurrence. The error is the line at which interpolation makes too many points.
     pub(super) fn build(
         mut points: Vec<TrackPoint>,
-        vehicles: Vec<VehicleId>,
+        (vehicles, core_ms): (Arc<[VehicleId]>, Range<i64>),
         rules: TrackRules<'_>,
         dropped: &mut Vec<(u64, Omission)>,
     ) -> Result<Self, u64> {
@@ -122,7 +132,7 @@ impl RecordedTraffic {
         dropped.extend(problems.unknown_position.map(|(line, count)| (line, Omission::UnknownPosition { count })));
         dropped.extend(problems.absent.map(|(line, count)| (line, Omission::AbsentVehicles { count })));
         dropped.extend(problems.overlapping.map(|(line, count)| (line, Omission::Overlapping { count })));
-        Ok(Self { points, vehicles })
+        Ok(Self { points, vehicles, core_ms })
     }
 }
 

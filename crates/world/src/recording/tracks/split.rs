@@ -83,7 +83,7 @@ pub(super) fn split(points: &mut [TrackPoint], speeds_agree: bool) -> Option<(Tr
         starts.append(&mut backwards);
         starts.sort_unstable();
         for &start in &starts {
-            if let Some(point) = vehicle.get(start) {
+            if let Some(point) = vehicle.get(start).filter(|point| !point.is_margin) {
                 splits.get_or_insert((*point, 0)).1 += 1;
             }
         }

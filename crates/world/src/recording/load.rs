@@ -1,0 +1,158 @@
+//! Reading of recordings of any format, with their maps.
+
+use std::io::{Cursor, Read};
+use std::path::Path;
+use std::sync::Arc;
+
+use super::error::{LineProblem, RecordingError};
+use super::map::{LayoutSpec, RecordingMap, RecordingMapSpec};
+use super::parts::PartSink;
+use super::table::{self, CsvRow, RowReader};
+use super::{Recording, binary, pairs, platoons, traffic};
+
+/// Receives the number of bytes of a file that were read, and their total.
+pub type ReadProgress = Arc<dyn Fn(u64, u64) + Send + Sync>;
+
+/// Reads a recording file with any extension: text, or Parquet or MDF 4 if the build has the features `parquet` and
+/// `mdf`. The columns are those of `map`, or of the built-in map that matches the first line.
+///
+/// # Errors
+/// [`RecordingError`] for a file that cannot be read, is of neither built-in format, lacks a column of its map, is
+/// truncated, or holds a field that is not a number. Missing and impossible values are no errors: they are in
+/// [`Recording::dropped`]. A file of several parts is an error, see [`load_parts`].
+pub fn load(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
+    only_part(path, |each| load_parts(path, map, None, each))
+}
+
+/// Reads the first part of a recording file, as [`load_parts`].
+///
+/// # Errors
+/// Those of [`load`].
+pub fn load_first_part(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
+    let mut first = None;
+    load_parts(path, map, None, &mut |part| {
+        first = Some(part);
+        Ok(false)
+    })?;
+    first.ok_or_else(|| RecordingError::Empty { path: path.to_owned() })
+}
+
+/// Reads a recording file in parts, so that memory stays bounded: a part has about 500 000 rows, and overlaps the next
+/// by a minute. Braking at each time belongs to one part. Omissions in rows are in the last part, or the first one of
+/// traffic; see [`merge_dropped`](super::merge_dropped).
+///
+/// # Errors
+/// Those of [`load`], except for the number of parts, and of `each`.
+pub fn load_parts(
+    path: &Path,
+    map: Option<&RecordingMap>,
+    progress: Option<&ReadProgress>,
+    each: &mut PartSink<'_>,
+) -> Result<(), RecordingError> {
+    let error = |source| RecordingError::Read { path: path.to_owned(), source };
+    let mut file = binary::RecordingFile::open(path, progress).map_err(error)?;
+    let mut start = Vec::new();
+    file.by_ref().take(binary::START_BYTES).read_to_end(&mut start).map_err(error)?;
+    let spec = map.map(RecordingMap::spec);
+    let table = match binary::BinaryFormat::detect(&start) {
+        Some(format) => binary::open(format, binary::Input::File(file), path, spec)?,
+        None => RowReader::new(Cursor::new(start).chain(file), path, spec)?,
+    };
+    read_rows(table, path, map, each)
+}
+
+/// Returns the only part of a recording.
+fn only_part(
+    path: &Path,
+    read: impl FnOnce(&mut PartSink<'_>) -> Result<(), RecordingError>,
+) -> Result<Recording, RecordingError> {
+    let mut only = None;
+    read(&mut |part| match only.replace(part) {
+        None => Ok(true),
+        Some(_) => Err(RecordingError::TooLong { path: path.to_owned() }),
+    })?;
+    only.ok_or_else(|| RecordingError::Empty { path: path.to_owned() })
+}
+
+/// Reads the bytes of a recording file; `path` only names it.
+///
+/// # Errors
+/// Those of [`load`], except for reading the file.
+pub fn read_bytes(bytes: &[u8], path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
+    match binary::BinaryFormat::detect(bytes) {
+        Some(format) => {
+            let bytes = binary::Input::Bytes(bytes.to_vec());
+            let table = binary::open(format, bytes, path, map.map(RecordingMap::spec))?;
+            only_part(path, |each| read_rows(table, path, map, each))
+        }
+        None => read(bytes, path, map),
+    }
+}
+
+/// Reads a text recording from a stream; `path` only names it.
+///
+/// Fails for lines above a mebibyte, 200 vehicles of a platoon or a million events. Ignores a byte order mark and
+/// carriage returns before line feeds.
+///
+/// # Errors
+/// As [`load`].
+pub fn read(from: impl Read, path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
+    let table = RowReader::new(from, path, map.map(RecordingMap::spec))?;
+    only_part(path, |each| read_rows(table, path, map, each))
+}
+
+fn read_rows(
+    mut table: RowReader<'_>,
+    path: &Path,
+    map: Option<&RecordingMap>,
+    each: &mut PartSink<'_>,
+) -> Result<(), RecordingError> {
+    let Some(first) = table.next_header()? else {
+        return Err(RecordingError::Empty { path: path.to_owned() });
+    };
+    let built_in;
+    let map = match map {
+        Some(map) => map,
+        None => {
+            let name = match first.text(0) {
+                "Date" => "openacc",
+                "event" => "car-following",
+                other => match RecordingMap::recognise(first.fields.iter()) {
+                    Some(map) => return first.reject_line(LineProblem::NeedsMap { map }),
+                    None => return first.reject_line(LineProblem::UnknownFormat { found: table::excerpt(other) }),
+                },
+            };
+            let map = RecordingMap::built_in(name).transpose();
+            built_in = map.map_err(|error| RecordingError::Map(Box::new(error)))?;
+            match &built_in {
+                Some(map) => map,
+                None => return first.reject_line(LineProblem::NeedsMap { map: name }),
+            }
+        }
+    };
+    read_with_map(&mut table, map.spec(), first, each)
+}
+
+fn read_with_map(
+    table: &mut RowReader<'_>,
+    map: &RecordingMapSpec,
+    first: CsvRow<'_>,
+    each: &mut PartSink<'_>,
+) -> Result<(), RecordingError> {
+    let (mut lines, mut names) = (Vec::new(), first);
+    while lines.len() < map.lines_before_names {
+        lines.push(names.fields);
+        let expected = if lines.len() < map.lines_before_names {
+            "the end of its header lines"
+        } else {
+            "the names of its columns"
+        };
+        let Some(next) = table.next_header()? else { return table.reject_cut_short(expected) };
+        names = next;
+    }
+    match &map.layout {
+        LayoutSpec::Platoon(platoon) => platoons::read(table, (map, platoon), &lines, &names, each),
+        LayoutSpec::Pairs(pairs) => pairs::read(table, (map, pairs), &names, each),
+        LayoutSpec::Tracks(tracks) => traffic::read(table, (map, tracks), &names, each),
+    }
+}

@@ -1,0 +1,144 @@
+//! Header lines and columns of a platoon.
+
+use std::collections::BTreeMap;
+
+use super::dropped::{DroppedItem, Omission};
+use super::error::{ColumnProblem, RecordingError};
+use super::map::{PlatoonSpec, RecordingMapSpec};
+use super::series::Clock;
+use super::table::{CsvColumn, CsvRow, excerpt};
+use super::text_rows::Fields;
+
+/// Maximum number of vehicles of a platoon: ten times that of any published recording.
+const MAX_VEHICLES: usize = 200;
+
+#[derive(Default)]
+pub(super) struct PlatoonHeader {
+    order: Vec<String>,
+    number_of_vehicles: usize,
+}
+
+impl PlatoonHeader {
+    pub(super) fn read_line(&mut self, platoon: &PlatoonSpec, fields: &Fields) {
+        let values = fields.iter().skip(1).filter(|value| !value.is_empty());
+        let first = fields.get(0);
+        if first.is_some() && first == platoon.names_line.as_deref() {
+            self.order = values.map(excerpt).collect();
+        } else if first.is_some() && first == platoon.count_line.as_deref() {
+            self.number_of_vehicles = values.flat_map(str::parse).next().unwrap_or_default();
+        }
+    }
+
+    /// Returns the name of a vehicle. Names count from vehicle 1 if there are enough, or from the first recorded
+    /// vehicle if each has one; otherwise they are ambiguous.
+    pub(super) fn name_of(&self, number: usize, recorded: &BTreeMap<usize, CsvColumn>) -> Option<String> {
+        let last = *recorded.keys().next_back()?;
+        let place = if self.order.len() >= last {
+            number.checked_sub(1)?
+        } else if self.order.len() == recorded.len() {
+            recorded.keys().position(|&known| known == number)?
+        } else {
+            return None;
+        };
+        self.order.get(place).cloned()
+    }
+}
+
+pub(super) struct PlatoonColumns {
+    pub(super) time: Clock,
+    /// Speed columns by number of the vehicle.
+    pub(super) speeds: BTreeMap<usize, CsvColumn>,
+    /// Spacing columns by number of the vehicle ahead.
+    pub(super) gaps: BTreeMap<usize, CsvColumn>,
+    /// Name of the columns of spacings.
+    spacing: String,
+}
+
+impl PlatoonColumns {
+    pub(super) fn from_names(
+        (map, platoon): (&RecordingMapSpec, &PlatoonSpec),
+        names: &CsvRow<'_>,
+    ) -> Result<Self, RecordingError> {
+        let time = Clock::find(names, &map.time)?;
+        let (mut speeds, mut gaps) = (BTreeMap::new(), BTreeMap::new());
+        for (index, name) in names.fields.iter().enumerate().filter(|(index, _)| *index != time.column.index) {
+            let column = |factor| CsvColumn { name: excerpt(name), index, factor };
+            let before = if let Some(number) = column_number(name, &platoon.speed.column) {
+                speeds.insert(number, column(platoon.speed.unit.factor()))
+            } else if let Some(number) = column_number(name, &platoon.spacing.column) {
+                gaps.insert(number, column(platoon.spacing.unit.factor()))
+            } else {
+                None
+            };
+            if before.is_some() {
+                return names.reject(&excerpt(name), ColumnProblem::Repeated);
+            }
+        }
+        if speeds.len().max(gaps.len()) > MAX_VEHICLES {
+            return names.reject_too_large(MAX_VEHICLES, "vehicles");
+        }
+        Ok(Self { time, speeds, gaps, spacing: platoon.spacing.column.clone() })
+    }
+
+    /// Splits the platoon into lines of two or more vehicles without holes; returns their numbers.
+    pub(super) fn split(
+        &self,
+        names: &CsvRow<'_>,
+        header: &PlatoonHeader,
+        dropped: &mut Vec<DroppedItem>,
+    ) -> Result<Vec<Vec<usize>>, RecordingError> {
+        let mut report = |what| dropped.push(names.dropped_item(what));
+        let mut lines: Vec<Vec<usize>> = Vec::new();
+        let mut ahead = 0;
+        for &number in self.speeds.keys() {
+            if number > ahead + 1 {
+                let consequence = match ahead {
+                    0 => "the platoon starts behind",
+                    _ => "the platoon is split there, because the spacing is unknown",
+                };
+                report(Omission::VehiclesMissing { first: ahead + 1, last: number - 1, consequence });
+            }
+            match lines.last_mut() {
+                Some(line) if number == ahead + 1 && self.gaps.contains_key(&ahead) => line.push(number),
+                _ => {
+                    if number == ahead + 1 && ahead > 0 {
+                        let column = self.spacing.replace("{}", &ahead.to_string());
+                        report(Omission::SpacingColumnMissing { column, ahead, behind: number });
+                    }
+                    lines.push(vec![number]);
+                }
+            }
+            ahead = number;
+        }
+        // A count far beyond the columns is a typing error.
+        if header.number_of_vehicles > ahead && header.number_of_vehicles <= MAX_VEHICLES {
+            report(Omission::VehiclesMissing {
+                first: ahead + 1,
+                last: header.number_of_vehicles,
+                consequence: "the platoon ends before",
+            });
+        }
+        for (number, column) in &self.gaps {
+            if !(self.speeds.contains_key(number) && self.speeds.contains_key(&(number + 1))) {
+                report(Omission::SpacingWithoutVehicle { column: column.name.clone() });
+            }
+        }
+        for line in &lines {
+            if let [number] = **line {
+                report(Omission::LoneVehicle { number });
+            }
+        }
+        lines.retain(|line| line.len() > 1);
+        if lines.is_empty() {
+            return names.reject(&excerpt(&self.spacing.replace("{}", "1")), ColumnProblem::NoFollower);
+        }
+        Ok(lines)
+    }
+}
+
+/// Returns the number, from 1, of a column such as `Speed2`, for the pattern `Speed{}`.
+pub(super) fn column_number(name: &str, called: &str) -> Option<usize> {
+    let (before, after) = called.split_once("{}")?;
+    let number = name.strip_prefix(before)?.strip_suffix(after)?.parse::<u16>().ok()?;
+    (number > 0).then_some(usize::from(number))
+}
