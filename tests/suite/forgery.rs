@@ -22,7 +22,7 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use crate::networks::{controller_corpus, controller_kind};
+use crate::networks::controller_kind;
 use changes::{ForgedCertificate, GenuineCertificate, forge};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -197,9 +197,6 @@ fn genuine_certificates() -> Vec<GenuineCertificate> {
     all.extend(
         ["idm", "acc-aeb"].map(|law| reach_certificate(Policy::reference(), &format!("follower_drives = \"{law}\"\n"))),
     );
-    // A residual policy.
-    let residual = Policy::load(&controller_corpus().join("../policy/residual.safetensors")).expect("there");
-    all.push(reach_certificate(std::sync::Arc::new(residual), ""));
     let kernel = |(_, certificate)| GenuineCertificate { certificate, policy: None, scenario: None };
     all.extend(shipped_kernels().into_iter().take(2).map(kernel));
     all
