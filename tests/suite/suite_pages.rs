@@ -12,7 +12,7 @@ use crumple_suites::{DISCLAIMER, MarginEnd, SweepFailure, TestSuite, run};
 use crumple_world::observation::EstimatorKind;
 
 use crate::assessments::config;
-use crate::command_line::{assert_refused, exit_code, run_crumple, run_ok, run_on_threads, temp_folder};
+use crate::command_line::{run_ok, temp_folder};
 use crate::report::assert_links_lead_somewhere;
 use crate::suites::{OWN_SUITE, find_controller, first_result, load_suite};
 use crate::tiny::replace_passages;
