@@ -3,7 +3,7 @@
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
 use crumple_evidence::rare::RareMethod;
 use crumple_search::falsify::campaign::EvaluationLog;
-use crumple_search::worst_case::{AttackObjective, EscapeKind};
+use crumple_search::worst_case::AttackObjective;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::recording::LeaderSelection;
 use crumple_world::sim::AfterContact;
@@ -29,21 +29,6 @@ pub(super) const AIMS: &[ArgValue<AttackObjective>] = &[
     (AttackObjective::Mildest, AttackObjective::Mildest.name(), "A collision with the least ∫ a² of the leader"),
     (AttackObjective::LeastPeak, AttackObjective::LeastPeak.name(), "A collision with the least peak of its braking"),
     (AttackObjective::Severest, AttackObjective::Severest.name(), "The fastest impact"),
-];
-
-pub(super) const ESCAPES: &[ArgValue<EscapeKind>] = &[
-    (EscapeKind::LargestGap, "largest-gap", "The escape with the largest smallest gap"),
-    (
-        EscapeKind::Gentlest,
-        "gentlest",
-        "The escape with the least ∫ a² that keeps half that gap, among those with the same trigger time of the \
-         follower's emergency brake; other trigger times may allow a gentler one",
-    ),
-    (
-        EscapeKind::LeastJerk,
-        "least-jerk",
-        "The escape whose acceleration changes least, among those with that trigger time",
-    ),
 ];
 
 /// Vehicles whose braking makes an episode of a recording.

@@ -8,7 +8,7 @@ use crumple_evidence::{
     BlockSelection, BoxSpec, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, check_binding, check_covers_scenario,
     shipped_kernels,
 };
-use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, ScenarioBox, avoid, certify};
+use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid, certify};
 use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
@@ -132,7 +132,7 @@ fn is_implied(original: &Certificate, shown: &ProvedClaim, claimed: &Certificate
 
 fn avoidability_certificate(scenario: &Scenario) -> GenuineCertificate {
     let certificate = match avoid(scenario, AvoidOptions::default()).expect("options fit").verdict {
-        AvoidanceVerdict::Avoidable(escape) => certify(&ScenarioBox::point(scenario), &escape).expect("accepted"),
+        AvoidanceVerdict::Avoidable(escape) => certify(scenario, &escape).expect("accepted"),
         AvoidanceVerdict::Unavoidable(certificate) => *certificate,
         AvoidanceVerdict::Undecided(reason) => panic!("{reason}"),
     };
