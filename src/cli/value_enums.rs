@@ -1,7 +1,6 @@
 //! Arguments with a few named values.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use crumple_evidence::rare::RareMethod;
 use crumple_search::falsify::campaign::EvaluationLog;
 use crumple_search::worst_case::AttackObjective;
 use crumple_world::observation::EstimatorKind;
@@ -35,15 +34,6 @@ pub(super) const AIMS: &[ArgValue<AttackObjective>] = &[
 pub(super) const LEADERS: &[ArgValue<LeaderSelection>] = &[
     (LeaderSelection::Any, "any", "Every vehicle with a follower"),
     (LeaderSelection::First, "first", "Vehicles without a recorded vehicle ahead"),
-];
-
-pub(super) const RARE_METHODS: &[ArgValue<RareMethod>] = &[
-    (RareMethod::Splitting, "splitting", "Multilevel splitting: populations climb from level to level"),
-    (
-        RareMethod::Importance,
-        "importance",
-        "Importance sampling from a distribution fitted to such populations, with exact weights",
-    ),
 ];
 
 pub(super) const LOGS: &[ArgValue<EvaluationLog>] = &[
