@@ -37,25 +37,6 @@ impl ReportDocument {
         self.markdown.list(lines.iter().map(String::as_str));
     }
 
-    /// Writes a nested list, each entry with its depth.
-    pub(super) fn outline(&mut self, entries: Vec<(usize, Inline, Markup)>) {
-        let mut open = 0;
-        for (depth, _, entry) in &entries {
-            if open > *depth {
-                self.html += &"</li></ul>".repeat(open - depth - 1);
-                self.html += "</li>";
-                open = depth + 1;
-            } else {
-                self.html += "<ul>";
-                open += 1;
-            }
-            self.html += "<li>";
-            self.push_html(entry);
-        }
-        self.html += &"</li></ul>".repeat(open);
-        self.markdown.outline(entries.into_iter().map(|(depth, entry, _)| (depth, entry)));
-    }
-
     /// Writes content that only HTML shows, such as a figure.
     pub(super) fn push_html(&mut self, markup: impl Render) {
         markup.render_to(&mut self.html);
