@@ -1,9 +1,9 @@
 //! Reachability of a closed loop with a learned policy, from every initial state of a box.
 //!
-//! An ego vehicle drives behind a leader that brakes. A network decides the ego's acceleration. Behind the ego there may
-//! be a follower with a latched emergency brake or a control law. A *reach* statement bisects a box of initial states repeatedly. It claims that no member of some cells
-//! ever collides, and that other cells contain a member that collides. The check derives these claims again from the
-//! network file and the cuts alone. [`form`] has affine forms, and [`relax`] functions of them. [`controller`] bounds
+//! An ego vehicle drives behind a leader that brakes. A network decides the ego's acceleration. Behind the ego there
+//! may be a follower with a latched emergency brake or a control law. A *reach* statement bisects a box of initial
+//! states repeatedly. It claims that no member of some cells ever collides, and that other cells contain a member that
+//! collides. The check derives these claims again from the network file and the cuts alone. [`form`] has affine forms, and [`relax`] functions of them. [`controller`] bounds
 //! the network, with [`activation`] for its activation functions. [`braking`], [`leader`] and [`propagate`] bound the
 //! vehicles. Uncertainty is always enlarged, never dropped. Enclosures and their losses of tightness, with noise
 //! symbols as in [`form`]:

@@ -1,5 +1,6 @@
-//! Progress of an unfinished estimate in the file `progress.json`. The file holds the pilot, completed repetitions, and estimates in resamples. All of them depend on
-//! the seed only, so a resumed estimate has the result of an uninterrupted one.
+//! Progress of an unfinished estimate in the file `progress.json`. The file holds the pilot, completed repetitions, and
+//! estimates in resamples. All of them depend on the seed only, so a resumed estimate has the result of an
+//! uninterrupted one.
 
 use std::ops::Range;
 

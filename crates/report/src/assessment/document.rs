@@ -3,7 +3,7 @@
 use maud::{Markup, PreEscaped, Render, html};
 
 use super::CrumpleCommand;
-use super::markdown::{Inline, Markdown};
+use super::markdown::Markdown;
 use super::prose::prose_to_html;
 use super::table::ReportTable;
 
