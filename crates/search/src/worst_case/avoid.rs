@@ -91,10 +91,10 @@ pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, Av
         let before_m = found.best_min_gap_m.unwrap_or(0.0);
         if let Some(mut escape) = escape {
             found.best_min_gap_m = Some(escape.min_gap_m.max(before_m));
-            if let AvoidanceVerdict::Avoidable(program) = found.verdict {
-                if program.min_gap_m >= escape.min_gap_m {
-                    escape = Escape { found_by: escape.found_by, ..*program };
-                }
+            if let AvoidanceVerdict::Avoidable(program) = found.verdict
+                && program.min_gap_m >= escape.min_gap_m
+            {
+                escape = Escape { found_by: escape.found_by, ..*program };
             }
             found.verdict = AvoidanceVerdict::Avoidable(Box::new(escape));
         }
