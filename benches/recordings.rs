@@ -25,7 +25,7 @@ leader_speed = { column = "c3" }
 "#;
 
 /// Time measurements, shared with the bench of the targets.
-#[allow(dead_code, reason = "this bench uses one of its functions")]
+#[allow(dead_code, unreachable_pub, reason = "this bench uses one of its functions")]
 #[path = "targets/clock.rs"]
 mod clock;
 

@@ -9,7 +9,6 @@ mod filter_errors;
 mod learning_curve;
 mod scenario_of_input;
 mod search_comparison;
-mod smaller_box;
 
 /// Problems that the benches measure, too.
 #[allow(dead_code, unreachable_pub, reason = "a problem has functions that only a bench uses")]
@@ -28,7 +27,7 @@ struct Experiment {
     run: fn(&[String]) -> Result<(), ExperimentError>,
 }
 
-const EXPERIMENTS: [Experiment; 7] = [
+const EXPERIMENTS: [Experiment; 6] = [
     Experiment {
         name: "both_sides",
         arguments: "RUNS CONTROLLER... [FIGURE.svg] [MEASURED.csv] [space=SPACE]... [seed=N] [estimator=truth] \
@@ -40,7 +39,6 @@ const EXPERIMENTS: [Experiment; 7] = [
     Experiment { name: "learning_curve", arguments: "TABLE.csv CONFIGURATION FIGURE.svg", run: learning_curve::run },
     Experiment { name: "scenario_of_input", arguments: "INPUT", run: scenario_of_input::run },
     Experiment { name: "search_comparison", arguments: "EVALUATIONS SEEDS", run: search_comparison::run },
-    Experiment { name: "smaller_box", arguments: "BOX.toml SHARE", run: smaller_box::run },
 ];
 
 fn main() -> ExitCode {

@@ -1,4 +1,4 @@
-//! Checks answers of the program to bad arguments, and boxes in the documentation that the program prints.
+//! Checks answers of the program to bad arguments.
 #![allow(clippy::unwrap_used, reason = "everything here is a test")]
 
 use std::path::Path;
@@ -14,7 +14,7 @@ fn bad_arguments_are_one_error_with_the_usage() {
     for (arguments, expected) in [
         (&[][..], "name an experiment:"),
         (&["nowhere"][..], "name an experiment:"),
-        (&["smaller_box"][..], "usage: smaller_box BOX.toml SHARE"),
+        (&["filter_errors"][..], "usage: filter_errors SCENARIO [FACTOR]"),
         (&["filter_errors", "nowhere"][..], "nowhere: no built-in scenario; usage: filter_errors SCENARIO [FACTOR]"),
         (&["both_sides", "0"][..], "usage: both_sides RUNS CONTROLLER..."),
     ] {
@@ -23,12 +23,4 @@ fn bad_arguments_are_one_error_with_the_usage() {
         assert!(output.status.code() == Some(2) && output.stdout.is_empty(), "{arguments:?}: {error}");
         assert!(error.starts_with("error: ") && error.contains(expected), "{arguments:?}: {error}");
     }
-}
-
-#[test]
-fn a_box_shrinks_about_its_middle() {
-    let output = run(&["smaller_box", "corpora/boxes/paper-1.toml", "0"]);
-    let printed: toml::Table = String::from_utf8(output.stdout).unwrap().parse().unwrap();
-    let ranges = printed["ranges"].as_table().unwrap();
-    assert!(!ranges.is_empty() && ranges.values().all(toml::Value::is_float), "{ranges:?}");
 }

@@ -9,15 +9,14 @@ use serde::Serialize;
 
 use super::artifacts::ArtifactArgs;
 use super::output;
-use super::value_enums::{ESCAPES, one_of};
 use super::{CliError, args};
 use crumple_core::quoting::TerminalText;
 use crumple_search::worst_case::{
-    AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Escape, EscapeKind, FoundBy, Optimality,
-    ScenarioBox, ScenarioRanges, UndecidedReason, avoid_box, certify,
+    AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Escape, FoundBy, Optimality,
+    UndecidedReason, avoid, certify,
 };
 use crumple_store::disk::StagedFiles;
-use crumple_world::scenario::{Scenario, file};
+use crumple_world::scenario::Scenario;
 
 /// Decide whether a collision was avoidable: find an escape, or prove that none exists
 #[derive(Args)]
@@ -33,18 +32,8 @@ Convex programs model a scripted leader and a latched emergency brake behind. If
 (idm, acc-aeb, a policy), crumple simulates some thousands of profiles with that driver in the loop and shows the \
 best one.
 
-A file of ranges turns the scenario into a box; `avoidable` then means that one profile is an escape from every \
-scenario of the box:
-  version = 1
-  [[ranges]]
-  field = \"vehicles[0].driver.brake.rate_mps2\"
-  low = 2.8
-  high = 3.2
-Fields are vehicles[i].position_m, vehicles[i].speed_mps and, of a leader that brakes, \
-vehicles[0].driver.brake.rate_mps2 and vehicles[0].driver.brake.onset_s.
-
 At most 20 vehicles may be under test, with at most 50 000 vehicles times steps; the largest undecided problem takes \
-about two minutes. A file of ranges may have 3 MiB.
+about two minutes.
 
 Examples:
   crumple avoid paper-1
@@ -54,16 +43,9 @@ pub(super) struct Avoid {
     /// Built-in scenario (see `crumple list scenarios`) or scenario file
     #[arg(value_name = "SCENARIO")]
     scenario: String,
-    /// Ranges that replace some numbers of the scenario: decide for all of them at once (not a box of `verify reach`)
-    #[arg(long = "box", value_name = "F.toml")]
-    ranges: Option<PathBuf>,
     /// Hold the accelerations of an escape for S seconds, a multiple of the scenario's step; default about 0.1
     #[arg(long, value_name = "S", allow_negative_numbers = true)]
     grid: Option<f64>,
-    /// Escape to show; the verdict does not depend on it. Only the search for the largest gap covers all trigger times
-    /// of the follower's emergency brake and simulates other controllers in the loop
-    #[arg(long, value_name = "ESCAPE", default_value = "largest-gap", value_parser = one_of(ESCAPES))]
-    escape: EscapeKind,
     /// Write the certificate of the escape or of the proof, for `crumple check`; replaces an existing file
     #[arg(long, value_name = "F.json")]
     certificate: Option<PathBuf>,
@@ -74,6 +56,10 @@ pub(super) struct Avoid {
     #[command(flatten)]
     finding: ArtifactArgs,
 }
+
+/// Optimality of an escape of the programs.
+const LARGEST_GAP: &str =
+    "the largest smallest gap found on this grid, over all trigger times of the follower's emergency brake";
 
 #[derive(Serialize)]
 struct AvoidReport<'a> {
@@ -99,15 +85,14 @@ struct AvoidReport<'a> {
 
 impl Avoid {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        let family = self.family()?;
-        let options =
-            AvoidOptions { grid_s: self.grid, escape: self.escape, certify_bound: true, ..AvoidOptions::default() };
-        let avoidance = avoid_box(&family, options).map_err(|error| match error {
+        let scenario = args::load_scenario(&self.scenario)?;
+        let options = AvoidOptions { grid_s: self.grid, certify_bound: true, ..AvoidOptions::default() };
+        let avoidance = avoid(&scenario, options).map_err(|error| match error {
             AvoidError::Grid { .. } => CliError::Input(format!("--grid: {error}")),
             other => CliError::Input(format!("{}: {other}", self.scenario)),
         })?;
         let mut files = StagedFiles::default();
-        self.stage_certificates(&family, &avoidance, &mut files)?;
+        self.stage_certificates(&scenario, &avoidance, &mut files)?;
         match avoidance.verdict.escape() {
             Some(escape) => {
                 self.finding.stage(&escape.scenario, "escape", &mut files, || args::replay(&escape.scenario))?;
@@ -115,29 +100,17 @@ impl Avoid {
             None => self.finding.note_nothing_to_write("no escape was found, so there is nothing", quiet),
         }
         files.commit()?;
-        self.finding.print_report(&self.report(family.centre(), &avoidance), describe)
-    }
-
-    fn family(&self) -> Result<ScenarioBox, CliError> {
-        let scenario = args::load_scenario(&self.scenario)?;
-        let Some(path) = &self.ranges else { return Ok(ScenarioBox::point(&scenario)) };
-        let text = file::read(path)?;
-        let ranges: ScenarioRanges = file::parse_toml(&text, path)?;
-        ScenarioBox::new(&scenario, &ranges).map_err(|error| {
-            let place = error.field_location(&ranges);
-            let line = file::line_in_toml(&text, &place);
-            CliError::Input(format!("{}:{line}: {place}: {error}", path.display()))
-        })
+        self.finding.print_report(&report(&scenario, &avoidance), describe)
     }
 
     fn stage_certificates(
         &self,
-        family: &ScenarioBox,
+        scenario: &Scenario,
         avoidance: &Avoidance,
         files: &mut StagedFiles,
     ) -> Result<(), CliError> {
         if let Some(path) = &self.certificate {
-            let certificate = verdict_certificate(family, avoidance).map_err(|reason| reason.to_string());
+            let certificate = verdict_certificate(scenario, avoidance).map_err(|reason| reason.to_string());
             stage_certificate(path, certificate, files)?;
         }
         if let Some(path) = &self.bound_certificate {
@@ -146,49 +119,49 @@ impl Avoid {
         }
         Ok(())
     }
+}
 
-    fn report<'a>(&self, scenario: &'a Scenario, avoidance: &'a Avoidance) -> AvoidReport<'a> {
-        let escape = avoidance.verdict.escape();
-        let reason = match &avoidance.verdict {
-            AvoidanceVerdict::Undecided(reason) => Some(reason),
-            AvoidanceVerdict::Avoidable(_) | AvoidanceVerdict::Unavoidable(_) => None,
-        };
-        AvoidReport {
-            scenario: &scenario.spec().name,
-            verdict: avoidance.verdict.name(),
-            best_min_gap_m: avoidance.best_min_gap_m,
-            escape_min_gap_m: escape.map(|escape| escape.min_gap_m),
-            min_gap_bound_m: avoidance.min_gap_bound_m,
-            min_gap_bound_is_certified: avoidance.bound_certificate.is_some(),
-            optimality: escape.map(|_| avoidance.optimality.name()),
-            trigger_time_s: escape.and_then(Escape::trigger_time_s),
-            emergency_brake_fires: escape.and_then(|escape| match escape.emergency_brake {
-                EmergencyBrake::Fires { .. } => Some(true),
-                EmergencyBrake::NeverFires => Some(false),
-                _ => None,
-            }),
-            effort_m2ps3: escape.map(Escape::effort_m2ps3),
-            escape_is_best_for: escape.map(|escape| match escape.found_by {
-                FoundBy::Programs => self.escape.optimality_description().to_owned(),
-                FoundBy::ClosedLoop { simulations } => format!(
-                    "the largest smallest gap with the drivers of all other vehicles in the loop, best of \
+fn report<'a>(scenario: &'a Scenario, avoidance: &'a Avoidance) -> AvoidReport<'a> {
+    let escape = avoidance.verdict.escape();
+    let reason = match &avoidance.verdict {
+        AvoidanceVerdict::Undecided(reason) => Some(reason),
+        AvoidanceVerdict::Avoidable(_) | AvoidanceVerdict::Unavoidable(_) => None,
+    };
+    AvoidReport {
+        scenario: &scenario.spec().name,
+        verdict: avoidance.verdict.name(),
+        best_min_gap_m: avoidance.best_min_gap_m,
+        escape_min_gap_m: escape.map(|escape| escape.min_gap_m),
+        min_gap_bound_m: avoidance.min_gap_bound_m,
+        min_gap_bound_is_certified: avoidance.bound_certificate.is_some(),
+        optimality: escape.map(|_| avoidance.optimality.name()),
+        trigger_time_s: escape.and_then(Escape::trigger_time_s),
+        emergency_brake_fires: escape.and_then(|escape| match escape.emergency_brake {
+            EmergencyBrake::Fires { .. } => Some(true),
+            EmergencyBrake::NeverFires => Some(false),
+            _ => None,
+        }),
+        effort_m2ps3: escape.map(Escape::effort_m2ps3),
+        escape_is_best_for: escape.map(|escape| match escape.found_by {
+            FoundBy::Programs => LARGEST_GAP.to_owned(),
+            FoundBy::ClosedLoop { simulations } => format!(
+                "the largest smallest gap with the drivers of all other vehicles in the loop, best of \
                      {simulations} simulated profiles"
-                ),
-            }),
-            escape_found_by: escape.map(|escape| escape.found_by.name()),
-            programs: avoidance.programs,
-            simulations: escape.map_or(0, |escape| match escape.found_by {
-                FoundBy::Programs => 0,
-                FoundBy::ClosedLoop { simulations } => simulations,
-            }),
-            reason,
-        }
+            ),
+        }),
+        escape_found_by: escape.map(|escape| escape.found_by.name()),
+        programs: avoidance.programs,
+        simulations: escape.map_or(0, |escape| match escape.found_by {
+            FoundBy::Programs => 0,
+            FoundBy::ClosedLoop { simulations } => simulations,
+        }),
+        reason,
     }
 }
 
-fn verdict_certificate(family: &ScenarioBox, avoidance: &Avoidance) -> Result<Certificate, UndecidedReason> {
+fn verdict_certificate(scenario: &Scenario, avoidance: &Avoidance) -> Result<Certificate, UndecidedReason> {
     match &avoidance.verdict {
-        AvoidanceVerdict::Avoidable(escape) => certify(family, escape),
+        AvoidanceVerdict::Avoidable(escape) => certify(scenario, escape),
         AvoidanceVerdict::Unavoidable(certificate) => Ok((**certificate).clone()),
         AvoidanceVerdict::Undecided(reason) => Err(reason.clone()),
     }
@@ -217,9 +190,7 @@ fn describe(report: &AvoidReport<'_>) -> String {
     let AvoidReport { scenario, verdict, escape_min_gap_m, min_gap_bound_m, programs, reason, .. } = report;
     let mut text = format!("{}: {verdict}\n", TerminalText(scenario));
     if let Some(gap_m) = escape_min_gap_m {
-        let is_largest = report.best_min_gap_m == Some(*gap_m);
         let optimality = match report.optimality {
-            _ if !is_largest => "",
             Some(name) if name == Optimality::BestFound.name() => ", best found",
             Some(name) if name == Optimality::InitialGap.name() => ", optimal: equals the initial gap",
             _ => ", optimal: equals the bound",

@@ -40,7 +40,6 @@ mod show;
 mod simulate;
 mod suite;
 mod suite_folder;
-mod suite_map;
 mod train;
 mod tune;
 mod utc;

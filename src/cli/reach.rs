@@ -21,8 +21,8 @@ use crumple_world::sim::NamedController;
 #[command(after_long_help = "\
 crumple bounds the network, the vehicles and the follower's emergency brake for all members of a box at once, \
 rounding included. It bisects undecided boxes up to --depth times and up to a million boxes; the rest stays \
-undecided. The policy observes the true state, or values within the stated errors. A residual policy is evaluated \
-step by step. The policy file is written next to the certificate; `crumple-verify` needs only these two files.
+undecided. The policy observes the true state, or values within the stated errors. The policy file is written \
+next to the certificate; `crumple-verify` needs only these two files.
 
 An imported network (F.onnx, F.zip, or a controller file F.toml) is written there as crumple read it. The \
 certificate assumes that the source file means the same; `crumple check --policy F.onnx` reads the source again. The \

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use clap::{Args, Subcommand, ValueEnum};
 
-use super::{CliError, args, output, suite_folder, suite_map, value_enums};
+use super::{CliError, args, output, suite_folder, value_enums};
 use crumple_core::quoting::ShellWord;
 use crumple_report::suite;
 use crumple_suites::{
@@ -39,7 +39,6 @@ enum SuiteSubcommand {
     },
     Run(RunSuite),
     Table(SuiteTable),
-    Map(suite_map::MapCommand),
 }
 
 /// Run a suite: clause, test, verdict, margin
@@ -160,7 +159,6 @@ impl SuiteCommand {
             SuiteSubcommand::Show { suite } => show_suite(&suite),
             SuiteSubcommand::Run(command) => command.run(quiet),
             SuiteSubcommand::Table(command) => command.run(),
-            SuiteSubcommand::Map(command) => command.run(),
         }
     }
 }

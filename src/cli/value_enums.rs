@@ -1,9 +1,8 @@
 //! Arguments with a few named values.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
-use crumple_evidence::rare::RareMethod;
 use crumple_search::falsify::campaign::EvaluationLog;
-use crumple_search::worst_case::{AttackObjective, EscapeKind};
+use crumple_search::worst_case::AttackObjective;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::recording::LeaderSelection;
 use crumple_world::sim::AfterContact;
@@ -31,34 +30,10 @@ pub(super) const AIMS: &[ArgValue<AttackObjective>] = &[
     (AttackObjective::Severest, AttackObjective::Severest.name(), "The fastest impact"),
 ];
 
-pub(super) const ESCAPES: &[ArgValue<EscapeKind>] = &[
-    (EscapeKind::LargestGap, "largest-gap", "The escape with the largest smallest gap"),
-    (
-        EscapeKind::Gentlest,
-        "gentlest",
-        "The escape with the least ∫ a² that keeps half that gap, among those with the same trigger time of the \
-         follower's emergency brake; other trigger times may allow a gentler one",
-    ),
-    (
-        EscapeKind::LeastJerk,
-        "least-jerk",
-        "The escape whose acceleration changes least, among those with that trigger time",
-    ),
-];
-
 /// Vehicles whose braking makes an episode of a recording.
 pub(super) const LEADERS: &[ArgValue<LeaderSelection>] = &[
     (LeaderSelection::Any, "any", "Every vehicle with a follower"),
     (LeaderSelection::First, "first", "Vehicles without a recorded vehicle ahead"),
-];
-
-pub(super) const RARE_METHODS: &[ArgValue<RareMethod>] = &[
-    (RareMethod::Splitting, "splitting", "Multilevel splitting: populations climb from level to level"),
-    (
-        RareMethod::Importance,
-        "importance",
-        "Importance sampling from a distribution fitted to such populations, with exact weights",
-    ),
 ];
 
 pub(super) const LOGS: &[ArgValue<EvaluationLog>] = &[

@@ -12,7 +12,7 @@ use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::OutputFormat;
 use super::{CliError, args, exposure, interrupt, progress, rare, reach, value_enums};
 use crumple_evidence::exposure::RatePerExposure;
-use crumple_evidence::rare::{RareMethod, RarePlan, SplittingConfig};
+use crumple_evidence::rare::{RarePlan, SplittingConfig};
 use crumple_evidence::{
     CertificateReport, CountProgress, CountTally, RateConfig, RateFolderError, RatePlan, SampleSizeError, report_json,
     required_runs, shipped_kernels,
@@ -65,10 +65,9 @@ continues an interrupted count. A run fails if vehicles collide.
 
 With --rare the probability of a failure too rare to count is estimated by multilevel splitting: populations of runs \
 climb from level to level of the smallest gap. A pilot determines the levels; the estimate is the mean of \
-independent repetitions, with an interval from their spread. --rare=importance fits a distribution to such \
-populations and samples runs from it with exact weights: the same mean with far fewer runs, if failures lie in a few \
-places. The result is an estimate and no bound: it has no certificate, and DIR/rare-estimate.json says so. The pilot \
-and every repetition are written to DIR as they end; --resume continues an interrupted estimate, to the same bytes.
+independent repetitions, with an interval from their spread. The result is an estimate and no bound: it has no \
+certificate, and DIR/rare-estimate.json says so. The pilot and every repetition are written to DIR as they end; \
+--resume continues an interrupted estimate, to the same bytes.
 
 If the space states the driving time and distance of its episodes (see `crumple fit`), failures are also given per \
 hour and per 1000 km, each with two intervals: one that takes the space for exact, and one with the uncertainty of \
@@ -101,17 +100,9 @@ struct RateCommand {
     /// Confidence level of the claim: above 0.5 and below 1
     #[arg(long, value_name = "c", default_value_t = 0.999)]
     confidence: f64,
-    /// Estimate the probability of a rare failure instead of counting; writes no certificate
-    #[arg(
-        long,
-        value_name = "METHOD",
-        value_parser = value_enums::one_of(value_enums::RARE_METHODS),
-        num_args = 0..=1,
-        require_equals = true,
-        default_missing_value = "splitting",
-        conflicts_with_all = ["runs", "rate_below", "against", "confidence"]
-    )]
-    rare: Option<RareMethod>,
+    /// Estimate the probability of a rare failure by splitting instead of counting; writes no certificate
+    #[arg(long, conflicts_with_all = ["runs", "rate_below", "against", "confidence"])]
+    rare: bool,
     /// With --rare: specification, as in `crumple falsify` [default: no contact]
     #[arg(long, value_name = "STL", requires = "rare")]
     spec: Option<String>,
@@ -281,7 +272,6 @@ impl RateCommand {
             space,
             estimator: self.estimator,
             specification,
-            method: self.rare.unwrap_or_default(),
             seed: self.seed,
             effort: SplittingConfig {
                 samples: self.samples.unwrap_or(500) as usize,

@@ -9,7 +9,7 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 
 use crate::tiny;
 use crumple_core::observer::{Listener, RunProgress};
-use crumple_evidence::rare::{RareMethod, RarePlan, SplittingConfig};
+use crumple_evidence::rare::{RarePlan, SplittingConfig};
 use crumple_evidence::{CountProgress, RateConfig, RatePlan};
 use crumple_learn::retrain::{RetrainingPlan, RetrainingProgress, RetrainingSettings};
 use crumple_learn::rl::{EvaluationSet, TrainingConfig, TrainingEvent, TrainingFolder};
@@ -63,7 +63,6 @@ fn estimate(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), St
         space: built_in_space("paper").unwrap(),
         estimator: EstimatorKind::Truth,
         specification: Specification::NoContact,
-        method: RareMethod::Splitting,
         seed,
         effort: SplittingConfig { samples: 50, repetitions: 10 },
     };

@@ -8,7 +8,7 @@ use crumple_evidence::{
     BlockSelection, BoxSpec, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, check_binding, check_covers_scenario,
     shipped_kernels,
 };
-use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, ScenarioBox, avoid, certify};
+use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid, certify};
 use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
@@ -22,7 +22,7 @@ use rayon::prelude::*;
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use crate::networks::{controller_corpus, controller_kind};
+use crate::networks::controller_kind;
 use changes::{ForgedCertificate, GenuineCertificate, forge};
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -132,7 +132,7 @@ fn is_implied(original: &Certificate, shown: &ProvedClaim, claimed: &Certificate
 
 fn avoidability_certificate(scenario: &Scenario) -> GenuineCertificate {
     let certificate = match avoid(scenario, AvoidOptions::default()).expect("options fit").verdict {
-        AvoidanceVerdict::Avoidable(escape) => certify(&ScenarioBox::point(scenario), &escape).expect("accepted"),
+        AvoidanceVerdict::Avoidable(escape) => certify(scenario, &escape).expect("accepted"),
         AvoidanceVerdict::Unavoidable(certificate) => *certificate,
         AvoidanceVerdict::Undecided(reason) => panic!("{reason}"),
     };
@@ -197,9 +197,6 @@ fn genuine_certificates() -> Vec<GenuineCertificate> {
     all.extend(
         ["idm", "acc-aeb"].map(|law| reach_certificate(Policy::reference(), &format!("follower_drives = \"{law}\"\n"))),
     );
-    // A residual policy.
-    let residual = Policy::load(&controller_corpus().join("../policy/residual.safetensors")).expect("there");
-    all.push(reach_certificate(std::sync::Arc::new(residual), ""));
     let kernel = |(_, certificate)| GenuineCertificate { certificate, policy: None, scenario: None };
     all.extend(shipped_kernels().into_iter().take(2).map(kernel));
     all

@@ -1,7 +1,7 @@
 //! The simulator and the checker accept the same policy files: a certificate must not be about a file that cannot
 //! drive.
 
-use crumple_verify::reach::{IdmLaw, NeuralController};
+use crumple_verify::reach::NeuralController;
 use crumple_world::policy::Policy;
 use rand::seq::IndexedRandom;
 use rand::{RngExt, SeedableRng};
@@ -9,13 +9,11 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 #[test]
 fn the_checker_refuses_all_policy_files_that_the_simulator_refuses() {
-    // One of them is a residual policy.
-    let residual = std::fs::read(concat!(env!("CARGO_MANIFEST_DIR"), "/corpora/policy/residual.safetensors")).unwrap();
-    let genuine = [Policy::reference_bytes(), Policy::retrained_bytes(), &residual];
+    let genuine = [Policy::reference_bytes(), Policy::retrained_bytes()];
     let (mut refused, mut accepted) = (0, 0);
     for seed in 0..6000 {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(seed);
-        let mut bytes = genuine[seed as usize % 3].to_vec();
+        let mut bytes = genuine[seed as usize % 2].to_vec();
         let header = u64::from_le_bytes(*bytes.first_chunk().unwrap()) as usize;
         let in_header = random.random_range(8..8 + header);
         match random.random_range(0..6_u32) {
@@ -37,17 +35,6 @@ fn the_checker_refuses_all_policy_files_that_the_simulator_refuses() {
                 let action = &policy.header().action;
                 assert_eq!(actor.action_bounds_mps2, [action.low_mps2, action.high_mps2], "{seed}");
                 assert_eq!(actor.decision_interval_s, policy.header().decision_interval_s, "{seed}");
-                let of_checker = actor.residual_over.map(|residual| {
-                    let IdmLaw { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, .. } = residual.idm;
-                    let law = [desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2];
-                    ([residual.dead_zone, residual.rate_per_s, residual.idm.comfortable_brake_mps2], law)
-                });
-                let of_simulator = action.residual_over.as_ref().map(|residual| {
-                    let idm = &residual.idm;
-                    let law = [idm.desired_speed_mps, idm.time_headway_s, idm.standstill_gap_m, idm.accel_mps2];
-                    ([residual.dead_zone, residual.rate_per_s, idm.comfortable_brake_mps2], law)
-                });
-                assert_eq!(of_checker, of_simulator, "{seed}");
             }
             (Err(_), _) => refused += 1,
         }

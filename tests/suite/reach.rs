@@ -14,7 +14,7 @@ use crumple_world::control::{
 };
 use crumple_world::network::NetworkFile;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::{Network, Policy};
+use crumple_world::policy::Policy;
 use crumple_world::scenario::Driver;
 use crumple_world::sim::{ControllerKind, Outcome, RecordingLevel, Run, RunOptions, Trace, simulate};
 use rand::seq::IndexedRandom;
@@ -214,33 +214,6 @@ fn runs_of_external_networks_stay_within_proved_bounds() {
         (network.into(), any_box(seed, random))
     });
     assert!(compared.falsified > 10, "{compared:?}");
-}
-
-/// The committed residual policy and variants: with random or scaled weights, other base controllers and other dead
-/// zones.
-#[test]
-fn runs_of_residual_policies_stay_within_proved_bounds() {
-    let committed = Policy::load(&controller_corpus().join("../policy/residual.safetensors")).unwrap();
-    compare_controllers(32, |seed, random| {
-        let (mut header, mut network) = (committed.header().clone(), committed.network().clone());
-        if seed % 4 > 0 {
-            let residual = header.action.residual_over.as_mut().expect("it departs");
-            residual.dead_zone = random.random_range(0.0..0.9);
-            residual.idm.time_headway_s = random.random_range(0.0..2.0);
-            residual.idm.standstill_gap_m = random.random_range(0.5..4.0);
-            residual.idm.accel_mps2 = random.random_range(0.3..4.0);
-        }
-        match seed % 4 {
-            2 => network.parameters_mut().iter_mut().for_each(|weight| *weight *= random.random_range(0.5..1.2)),
-            3 => {
-                header.hidden = vec![12, 9];
-                network = Network::zeros(&[8, 12, 9, 1]);
-                network.parameters_mut().iter_mut().for_each(|weight| *weight = random.random_range(-0.5..0.5));
-            }
-            _ => {}
-        }
-        (Arc::new(Policy::new(header, network).unwrap()).into(), any_box(seed / 2, random))
-    });
 }
 
 /// The file format of the reference policy does not matter, except that the last tanh is applied a step earlier.

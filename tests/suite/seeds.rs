@@ -9,7 +9,7 @@ use crumple_core::observer::Quiet;
 use crumple_evidence::{BoxSpec, ReachPlan, shipped_kernels};
 use crumple_fuzzing::targets::TARGETS;
 use crumple_fuzzing::{self, LANE_CASE_BYTES, ScenarioFormat, TEST_CASE_BYTES, TestCase};
-use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, ScenarioBox, avoid, certify};
+use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid, certify};
 use crumple_verify::reach::{BoxDimension, PartitionCell};
 use crumple_verify::{Certificate, ReachClaim, Statement};
 use crumple_world::policy::{Network, POLICY_VERSION, Policy, PolicyHeader, STATE_LEN};
@@ -163,7 +163,7 @@ fn reach_certificates() -> Vec<Certificate> {
 fn prove(scenario: &Scenario) -> Option<Certificate> {
     match avoid(scenario, AvoidOptions::default()).ok()?.verdict {
         AvoidanceVerdict::Unavoidable(proof) => Some(*proof),
-        AvoidanceVerdict::Avoidable(escape) => certify(&ScenarioBox::point(scenario), &escape).ok(),
+        AvoidanceVerdict::Avoidable(escape) => certify(scenario, &escape).ok(),
         AvoidanceVerdict::Undecided(_) => None,
     }
 }

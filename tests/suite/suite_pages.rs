@@ -1,4 +1,4 @@
-//! Reports of suites: pages, crash maps, tolerances, and suites in assessments.
+//! Reports of suites: pages, tolerances, and suites in assessments.
 
 use std::fs;
 use std::path::Path;
@@ -12,7 +12,7 @@ use crumple_suites::{DISCLAIMER, MarginEnd, SweepFailure, TestSuite, run};
 use crumple_world::observation::EstimatorKind;
 
 use crate::assessments::config;
-use crate::command_line::{assert_refused, exit_code, run_crumple, run_ok, run_on_threads, temp_folder};
+use crate::command_line::{run_ok, temp_folder};
 use crate::report::assert_links_lead_somewhere;
 use crate::suites::{OWN_SUITE, find_controller, first_result, load_suite};
 use crate::tiny::replace_passages;
@@ -80,52 +80,6 @@ fn a_margin_reports_a_test_that_cannot_be_run() {
         margins.iter().all(|margin| margin.end == MarginEnd::None { failure: SweepFailure::Refused }),
         "{margins:?}"
     );
-}
-
-#[test]
-fn maps_are_independent_of_threads() {
-    let folder = temp_folder();
-    let map = |threads: &str, arguments: &str| {
-        let asked = "suite map cut-in-time --controller idm --cells 6x5";
-        run_on_threads(folder.path(), threads, &format!("{asked} {arguments}"))
-    };
-    let names: &[&str] = match cfg!(feature = "png") {
-        true => &["m.svg", "m.html", "m.json", "m.png"],
-        false => &["m.svg", "m.html", "m.json"],
-    };
-    let files: String = names.iter().map(|name| format!(" --out {name}")).collect();
-    let text = map("1", &files);
-    assert_eq!(exit_code(&text), 0);
-    let read = |name: &str| fs::read(folder.path().join(name)).unwrap();
-    let read_all = || names.iter().map(|name| read(name)).collect::<Vec<_>>();
-    let first = read_all();
-    assert_eq!(map("2", &files).stdout, text.stdout);
-    assert_eq!(read_all(), first);
-    assert_eq!(map("2", "--format json").stdout, first[2]);
-    let text = String::from_utf8(text.stdout).unwrap();
-    assert!(text.contains("no certification") && text.contains("reference: r157-simple: contact in"), "{text}");
-    let [svg, page, json] = ["m.svg", "m.html", "m.json"].map(read);
-    assert!(first.get(3).is_none_or(|png| png.starts_with(b"\x89PNG")));
-    let svg = String::from_utf8(svg).unwrap();
-    assert!(svg.contains("idm") && svg.contains("AFGBV") && svg.contains("no certification"));
-    assert!(String::from_utf8(page).unwrap().matches(DISCLAIMER).count() >= 2);
-    let json: serde_json::Value = serde_json::from_slice(&json).unwrap();
-    let panels = json["panels"].as_array().unwrap();
-    assert_eq!(panels.len(), 5);
-    assert!(panels.iter().all(|panel| panel["cells"].as_array().unwrap().len() == 30));
-    for (arguments, message) in [
-        ("car-following --time-gap 0.1", "--time-gap: must be from 0.2 to 10 s, found 0.1"),
-        ("car-following --time-gap nan", "--time-gap: must be from 0.2 to 10 s, found NaN"),
-        ("cut-in-gap --own-speed 1e9", "--own-speed: must be from 30 to 250 km/h"),
-        ("cut-in-gap --time-gap 2", "--time-gap: does not apply to cut-in-gap; use --own-speed"),
-        ("car-following --own-speed 100", "--own-speed: does not apply to car-following; use --time-gap"),
-        ("cut-in-gap --cells 101x3", "--cells: must have 2 to 100 cells in each direction, found 101x3"),
-        ("cut-in-gap --cells 12", "two numbers of cells"),
-        ("cut-in-gap --out m.pdf", "must end in .svg, .png, .html or .json"),
-        ("overtaking", "possible values"),
-    ] {
-        assert_refused(&run_crumple(folder.path(), &format!("suite map {arguments}")), message);
-    }
 }
 
 /// Suites are claims, in every rendering, tests of the build, and files that replay; their evidence is kept.

@@ -137,8 +137,6 @@ pub enum ProvedClaim {
         has_follower: bool,
         /// Limit within which the leader brakes arbitrarily, in m/s²; `None` for a scripted leader.
         leader_brakes_at_most_mps2: Option<f64>,
-        /// Base controller of a residual policy.
-        residual_over: Option<reach::ResidualPolicy>,
     },
 }
 

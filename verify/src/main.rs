@@ -41,7 +41,7 @@ fn check_file(path: &Path, policy: Option<&Path>, limit: WorkLimit) -> u8 {
     match check_with(&certificate, certificate.read_policy(path, policy).as_deref(), limit) {
         Ok(accepted) => {
             println!("{name}: accepted: {accepted}");
-            println!("  {}", certificate.scope_with_result(&accepted).to_string().replace('\n', "\n  "));
+            println!("  {}", certificate.scope().to_string().replace('\n', "\n  "));
             println!("  version {}, SHA-256 of its canonical form {}", certificate.version, certificate.digest());
             if let Some(caveat) = certificate.caveat() {
                 println!("  {caveat}");

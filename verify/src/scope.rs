@@ -3,15 +3,12 @@
 
 use std::fmt;
 
-use crate::ProvedClaim;
 use crate::certificate::{Certificate, Statement};
 use crate::claim::{ConstantPiece, Scene, SceneEgo};
 use crate::interval::Interval;
 use crate::kernel::KernelClaim;
 use crate::rate::Registration;
 use crate::reach::{BoxDimension, NetworkFileSource, ReachClaim};
-
-const EGO_INDEX: usize = 1;
 
 const NO_VEHICLE_BEHIND: &str = "behind: no vehicle";
 
@@ -50,23 +47,10 @@ impl Certificate {
         scope
     }
 
-    /// Returns the scope with what the check has read from the policy.
+    /// Returns the scope of a claim about a scenario that has `left_out` vehicles more behind than the claim.
     #[must_use]
-    pub fn scope_with_result(&self, accepted: &ProvedClaim) -> Scope {
+    pub fn scope_with_uncovered_vehicles(&self, left_out: usize) -> Scope {
         let mut scope = self.scope();
-        if let ProvedClaim::Reach { residual_over: Some(residual), .. } = accepted
-            && let Some(ego) = scope.vehicles.get_mut(EGO_INDEX)
-        {
-            *ego += &format!("; {residual}");
-        }
-        scope
-    }
-
-    /// Returns the scope of a claim about a scenario with `left_out` further vehicles at the rear that the claim does
-    /// not contain.
-    #[must_use]
-    pub fn scope_with_uncovered_vehicles(&self, accepted: Option<&ProvedClaim>, left_out: usize) -> Scope {
-        let mut scope = accepted.map_or_else(|| self.scope(), |accepted| self.scope_with_result(accepted));
         let vehicles = if left_out == 1 { "vehicle" } else { "vehicles" };
         let is_followed = self.statement.scene().is_some_and(|scene| scene.follower.is_some());
         scope.behind = match (scope.behind.filter(|_| is_followed), left_out) {

@@ -12,7 +12,7 @@ use super::reach::BoxSpec;
 use super::script::{self, ScriptBeyondLimit};
 use super::{InvalidRate, RateConfig, RatePlan};
 use crumple_core::digest::sha256;
-use crumple_search::worst_case::{ScenarioBox, ScenarioBoxError, ScenarioRanges, covers_scenario, matches_box};
+use crumple_search::worst_case::covers_scenario;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::FileError;
 use crumple_world::scenario::space::{self, ScenarioSpace};
@@ -32,9 +32,6 @@ pub enum BindingError {
     /// The text is not a valid scenario, space or box.
     #[error(transparent)]
     Text(FileError),
-    /// The ranges form no box around the scenario.
-    #[error("provenance.box_text: {0}")]
-    Family(#[from] ScenarioBoxError),
     /// The box allows no claim.
     #[error("provenance.box_text: {0}")]
     Box(#[from] super::InvalidBox),
@@ -114,14 +111,12 @@ pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result
         Statement::Comparison(claim) => check_registration(certificate, &claim.registration),
         // All other statements are about a scene.
         _ => {
-            let scenario = read_scenario(certificate)?;
-            let family = match &certificate.provenance.box_text {
-                None => ScenarioBox::point(&scenario),
-                Some(text) => {
-                    ScenarioBox::new(&scenario, &file::parse_toml::<ScenarioRanges>(text, Path::new(BOX_TEXT_FIELD))?)?
-                }
-            };
-            if matches_box(certificate, &family) { Ok(()) } else { Err(scene_mismatch()) }
+            if certificate.provenance.box_text.is_some() {
+                let problem = "is a box of `avoid --box`, which crumple 0.3.0 removed: version 0.2.0 checks it";
+                return Err(BindingError::Differs { field: BOX_TEXT_FIELD, problem });
+            }
+            let is_about = covers_scenario(certificate, &read_scenario(certificate)?);
+            if is_about { Ok(()) } else { Err(scene_mismatch()) }
         }
     }
 }

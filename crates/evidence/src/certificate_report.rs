@@ -153,11 +153,10 @@ impl CertificateReport<'_> {
         Some(built_in.is_ok_and(|built_in| built_in == *text))
     }
 
-    fn scope(&self, accepted: Option<&ProvedClaim>) -> Scope {
-        match (count_omitted_vehicles(self.certificate), accepted) {
-            (Some(vehicles), _) => self.certificate.scope_with_uncovered_vehicles(accepted, vehicles),
-            (None, Some(accepted)) => self.certificate.scope_with_result(accepted),
-            (None, None) => self.certificate.scope(),
+    fn scope(&self) -> Scope {
+        match count_omitted_vehicles(self.certificate) {
+            Some(vehicles) => self.certificate.scope_with_uncovered_vehicles(vehicles),
+            None => self.certificate.scope(),
         }
     }
 
@@ -188,12 +187,14 @@ impl CertificateReport<'_> {
             }
             _ => {}
         }
-        let Ok(shown) = accepted else { return text };
+        if accepted.is_err() {
+            return text;
+        }
         if let Statement::Rate(rate) = &certificate.statement {
             text += &format!("  counted: {} failures in {} runs\n", rate.failures, rate.registration.runs);
         }
         text += &counts.iter().map(|counts| format!("  {}\n", TerminalText(&counts.summary()))).collect::<String>();
-        text += &self.scope(Some(shown)).to_string().lines().map(|line| format!("  {line}\n")).collect::<String>();
+        text += &self.scope().to_string().lines().map(|line| format!("  {line}\n")).collect::<String>();
         match self.is_built_in() {
             Some(true) => text += "  it is the built-in scenario or space of that name\n",
             Some(false) => text += "  it is NOT the built-in scenario or space of that name\n",
@@ -289,7 +290,7 @@ fn report_line<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>
     let CertificateReport { path, certificate, accepted, counts, covers_scenario: about } = one;
     // JSON has no infinity; `None` is an overlap of unknown size.
     let finite = |value: f64| Some(value).filter(|value| value.is_finite());
-    let scope = one.scope(accepted.as_ref().ok());
+    let scope = one.scope();
     let refuted = match counts {
         Some(CountsStatus::Refuted { because }) => Some(because.clone()),
         _ => None,

@@ -9,7 +9,7 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::sim::NamedController;
 
-use crate::rare::{RareMethod, RarePlan, SplittingConfig};
+use crate::rare::{RarePlan, SplittingConfig};
 use crate::{CountTally, RateConfig, RatePlan};
 
 pub(crate) fn controller(name: &str) -> NamedController {
@@ -40,13 +40,12 @@ pub(crate) fn count_all(plan: &RatePlan) -> CountTally {
     tally
 }
 
-pub(crate) fn rare_plan(method: RareMethod, seed: u64, repetitions: usize) -> RarePlan {
+pub(crate) fn rare_plan(seed: u64, repetitions: usize) -> RarePlan {
     RarePlan {
         controller: controller("match-leader"),
         space: built_in_space("paper").unwrap(),
         estimator: EstimatorKind::Truth,
         specification: Specification::NoContact,
-        method,
         seed,
         effort: SplittingConfig { samples: 50, repetitions },
     }

@@ -5,7 +5,7 @@
 //! | [`draw`] | figures of traces and curves |
 //! | [`figures`] | figures of trainings |
 //! | [`export`] | traces as tables |
-//! | [`suite`] | runs of suites: the matrix, JUnit; crash maps |
+//! | [`suite`] | runs of suites: the matrix, JUnit |
 //! | [`assessment`] | the safety case and its renderings |
 
 pub mod assessment;

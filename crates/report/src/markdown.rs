@@ -102,17 +102,12 @@ impl Markdown {
         }
     }
 
-    /// Writes a list whose entries have a depth, unless it is empty.
-    pub(crate) fn outline<I: Into<Inline>>(&mut self, entries: impl IntoIterator<Item = (usize, I)>) {
-        let line = |(depth, entry): (usize, I)| format!("{}- {}\n", "  ".repeat(depth), entry.into().text);
-        let lines: String = entries.into_iter().map(line).collect();
+    /// Writes a list, unless it is empty.
+    pub(crate) fn list<I: Into<Inline>>(&mut self, entries: impl IntoIterator<Item = I>) {
+        let lines: String = entries.into_iter().map(|entry| format!("- {}\n", entry.into().text)).collect();
         if !lines.is_empty() {
             self.push_block(&lines);
         }
-    }
-
-    pub(crate) fn list<I: Into<Inline>>(&mut self, entries: impl IntoIterator<Item = I>) {
-        self.outline(entries.into_iter().map(|entry| (0, entry)));
     }
 
     /// Writes a table. `columns` has the Markdown alignment of each column.

@@ -7,27 +7,23 @@
 //! The model has point masses in one lane. It certifies nothing: [`DISCLAIMER`] goes with every result.
 
 mod check;
-mod crash_map;
 mod margin;
 mod parameter;
 mod prevention;
 mod result;
 mod run;
 mod scenario;
-mod situation;
 mod spec;
 mod worst_in_tolerance;
 
 use std::path::Path;
 
 pub use check::{InvalidSuite, SuiteError, SuiteProblem};
-pub use crash_map::{CrashCell, CrashMap, CrashMapSpec, MapPanel, MapProblem};
 pub use margin::{Margin, MarginEnd, SweepFailure};
 pub use parameter::{ImpactLimit, Origin, ParameterKind, ParameterUnit, TestParameter, TestParameters};
 pub use prevention::{Prevention, ReferenceRun};
 pub use result::{ClauseResult, ControllerResult, DISCLAIMER, FailedPoint, SuiteResult, TestResult, TestVerdict};
 pub use run::{SuiteRunError, run};
-pub use situation::{Boundary, CrashMapAxis, CrashMapSituation};
 pub use spec::{ClauseSpec, LeadManeuver, MarginSweep, SuiteSpec, TestSpec};
 pub use worst_in_tolerance::WorstInTolerance;
 

@@ -230,12 +230,6 @@ impl Origin {
     }
 }
 
-impl TestParameter {
-    pub(super) fn from_chosen(value: f64, unit: ParameterUnit) -> Self {
-        Self { values: vec![value], unit, origin: Origin::Chosen, tolerance: 0.0, note: String::new() }
-    }
-}
-
 impl TestParameters {
     /// Returns a parameter.
     #[must_use]

@@ -17,7 +17,7 @@ use super::spec::{ClauseSpec, LeadManeuver, SuiteSpec, TestSpec};
 use super::worst_in_tolerance::{WorstInTolerance, WorstPoint, find_worst};
 use crumple_search::falsify::counterexample::AvoidabilityAnalysis;
 
-/// Reason why a suite or a crash map did not run to its end.
+/// Reason why a suite did not run to its end.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
 pub enum SuiteRunError {
@@ -37,10 +37,6 @@ pub(super) struct Criterion {
 }
 
 impl Criterion {
-    pub(super) fn no_contact(lead: LeadManeuver) -> Self {
-        Self { lead, impact_at_most_mps: None }
-    }
-
     fn passes(self, impact_speed_mps: f64) -> bool {
         self.impact_at_most_mps.is_some_and(|most| impact_speed_mps <= most)
     }

@@ -274,7 +274,6 @@ fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
     let doctor_text = run_crumple(folder.path(), "doctor");
     for (feature, enabled, arguments) in [
         ("png", cfg!(feature = "png"), "simulate paper-1 --plot p.png"),
-        ("png", cfg!(feature = "png"), "suite map cut-in-gap --cells 2x2 --out m.png"),
         ("parquet", cfg!(feature = "parquet"), "simulate paper-1 --trace t.parquet"),
         (
             "parquet",

@@ -150,7 +150,7 @@ fn mistakes_are_reported_before_anything_is_written() {
     // A network trained with another scaling would misread its inputs.
     let differ = "and the training preset `road` differ in the observation or its scaling";
     assert!(retrain("--preset road").contains(differ));
-    let road = format!("{}/corpora/policy/residual.safetensors", env!("CARGO_MANIFEST_DIR"));
+    let road = format!("{}/crates/world/src/policy/road.safetensors", env!("CARGO_MANIFEST_DIR"));
     assert!(retrain(&format!("--policy '{road}'")).contains("and the training preset `retrain` differ in"));
     assert!(retrain("--regression none --regression paper").contains("`none` cannot be combined with spaces"));
     assert!(retrain("--regression paper --regression paper").contains("two spaces have the name `paper`"));

@@ -94,23 +94,6 @@ fn an_escape_before_a_modelled_follower_states_optimum_and_replay() {
     run_ok(folder.path(), "simulate escape.toml --expect safe");
 }
 
-#[test]
-fn a_range_that_is_none_is_refused_with_line_and_field() {
-    let folder = temp_folder();
-    for (range, message) in [
-        ("field = \"vehicles[1].speed_mps\"\nlow = nan\nhigh = 3", "ranges.toml:8: ranges[1].low: "),
-        ("field = \"vehicles[1].speed_mps\"\nlow = 4\nhigh = 3", "ranges.toml:9: ranges[1].high: "),
-        ("field = \"vehicles[1].speed\"\nlow = 1\nhigh = 3", "ranges.toml:7: ranges[1].field: "),
-        ("field = \"vehicles[0].speed_mps\"\nlow = 1\nhigh = 3", "ranges.toml:7: ranges[1].field: "),
-        ("field = \"vehicles[1].speed_mps\"\nlow = 99\nhigh = 101", "ranges.toml:6: ranges[1]: "),
-    ] {
-        let first = "[[ranges]]\nfield = \"vehicles[0].speed_mps\"\nlow = 24\nhigh = 25\n";
-        let text = format!("version = 1\n{first}[[ranges]]\n{range}\n");
-        fs::write(folder.path().join("ranges.toml"), text).unwrap();
-        assert_refused(&run_crumple(folder.path(), "avoid paper-1 --box ranges.toml"), message);
-    }
-}
-
 /// The output notes simulations beyond the budget.
 #[test]
 fn simulations_beyond_the_budget_are_reported() {

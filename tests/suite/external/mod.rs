@@ -63,7 +63,6 @@ const CASES: &[(&str, &str, StartExpectation)] = &[
     ("suite show", "driven.toml", StartsNothing),
     ("suite run", "driven.toml --controller idm", StartsNothing),
     ("suite table", "--help", StartsNothing),
-    ("suite map", "car-following --cells 2x2", StartsNothing),
     ("merge", "rate-shard --out o", StartsNothing),
     ("fsck", "campaign rate rate-shard", StartsNothing),
     ("list", "", StartsNothing),

@@ -27,7 +27,7 @@ const COUNT: ResumableCommand =
     ResumableCommand("verify rate --controller idm --space paper --runs 400 --confidence 0.9", None);
 
 const ESTIMATE: ResumableCommand = ResumableCommand(
-    "verify rate --controller match-leader --rare=importance --estimator truth --samples 50 --repetitions 20",
+    "verify rate --controller match-leader --rare --estimator truth --samples 50 --repetitions 20",
     None,
 );
 

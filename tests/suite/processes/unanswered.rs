@@ -3,7 +3,7 @@
 use std::fs;
 use std::path::Path;
 
-use crumple_suites::{CrashMapSituation, CrashMapSpec, SuiteRunError, TestSuite, run};
+use crumple_suites::{SuiteRunError, TestSuite, run};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 use serde_json::Value;
@@ -229,15 +229,12 @@ fn state_that_appears_late_is_caught() {
     assert!(find_controller("bad.toml", folder.path()).ensure_trusted().is_ok());
 }
 
-/// Suites and maps themselves detect a controller that is refused during their runs.
+/// Suites themselves detect a controller that is refused during their runs.
 #[test]
-fn suites_and_maps_find_nothing_of_a_controller_that_is_refused() {
+fn suites_find_nothing_of_a_controller_that_is_refused() {
     let folder = bad_process_folder("remember", "files = [\"bad.sh\"]");
     let suite = TestSuite::shipped("afgbv-cut-in").unwrap().unwrap();
     let refused = run(&suite, &[find_controller("bad.toml", folder.path())], EstimatorKind::Truth);
-    assert!(matches!(refused, Err(SuiteRunError::Refused(_))), "{refused:?}");
-    let map = CrashMapSpec::new(CrashMapSituation::CarFollowing { time_gap_s: 1.0 }, [4, 4]).unwrap();
-    let refused = map.run(&[find_controller("bad.toml", folder.path())], EstimatorKind::Truth);
     assert!(matches!(refused, Err(SuiteRunError::Refused(_))), "{refused:?}");
 }
 

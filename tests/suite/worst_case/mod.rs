@@ -8,8 +8,7 @@ mod opponent;
 mod scenes;
 
 use crumple_search::worst_case::{
-    AvoidOptions, Avoidance, AvoidanceVerdict, EscapeKind, FieldRange, ScenarioBox, ScenarioRanges, UndecidedReason,
-    avoid, avoid_box, certify, covers_scenario,
+    AvoidOptions, Avoidance, AvoidanceVerdict, UndecidedReason, avoid, certify, covers_scenario,
 };
 use crumple_verify::{Certificate, ProvedClaim, Rejection, Statement};
 use crumple_world::control::{AebSettings, ControllerSpec};
@@ -47,11 +46,6 @@ fn replay(scenario: &Scenario, parts: f64) -> SimulationResult {
     run(scenario, &ControllerSpec::MatchLeader(Default::default()), EstimatorKind::Truth, parts)
 }
 
-fn scenario_ranges<const N: usize>(ranges: [(&str, f64, f64); N]) -> ScenarioRanges {
-    let ranges = ranges.map(|(field, low, high)| FieldRange { field: field.into(), low, high });
-    ScenarioRanges { version: 1, ranges: ranges.into() }
-}
-
 fn smallest_gap_m(simulated: &SimulationResult) -> f64 {
     simulated.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).fold(f64::INFINITY, f64::min)
 }
@@ -83,7 +77,7 @@ fn the_papers_collisions_were_avoidable() {
             let replayed = replay(&escape_file, parts);
             assert_eq!(replayed.outcome, Outcome::NoCollision, "{name}");
         }
-        let certificate = certify(&ScenarioBox::point(&scenario), escape).expect("accepted");
+        let certificate = certify(&scenario, escape).expect("accepted");
         let proved = check_certificate(&certificate);
         assert!(matches!(proved, ProvedClaim::Avoidable { min_gap_m, .. } if min_gap_m > gap_m - 0.3));
         assert!(covers_scenario(&certificate, &scenario));
@@ -129,22 +123,6 @@ fn no_escape_of_a_finer_grid_is_beyond_the_bound_that_is_certified() {
     }
     println!("{most_m}");
     assert!(most_m > 0.1, "{most_m}");
-}
-
-#[test]
-fn smoother_escapes_cost_less_and_keep_half_the_gap() {
-    let scenario = built_in_scenario("paper-1").unwrap();
-    let effort = |escape| {
-        let avoidance = avoid(&scenario, AvoidOptions { escape, ..AvoidOptions::default() }).unwrap();
-        let escape = avoidance.verdict.escape().expect("avoidable").clone();
-        assert!(escape.min_gap_m > 4.0, "{}", escape.min_gap_m);
-        let changes = escape.acceleration_mps2[0].windows(2).map(|pair| (pair[1] - pair[0]).powi(2)).sum::<f64>();
-        (escape.effort_m2ps3(), escape.acceleration_mps2[0][0].powi(2) + changes)
-    };
-    let [largest, gentlest, smoothest] =
-        [EscapeKind::LargestGap, EscapeKind::Gentlest, EscapeKind::LeastJerk].map(effort);
-    assert!(gentlest.0 < largest.0 && gentlest.0 <= smoothest.0, "{largest:?} {gentlest:?} {smoothest:?}");
-    assert!(smoothest.1 < largest.1 && smoothest.1 < gentlest.1, "{largest:?} {gentlest:?} {smoothest:?}");
 }
 
 /// Every sequence of full braking, coasting and full acceleration, with a change every 0.5 s.
@@ -205,9 +183,7 @@ fn no_controller_contradicts_a_verdict() {
                 for (name, kept_m) in kept_m {
                     assert!(kept_m <= bound_m + 1e-9, "{seed}: {name} keeps {kept_m} m, and {bound_m} m is the bound");
                 }
-                check_certificate(
-                    &certify(&ScenarioBox::point(&scenario), escape).unwrap_or_else(|why| panic!("{seed}: {why}")),
-                );
+                check_certificate(&certify(&scenario, escape).unwrap_or_else(|why| panic!("{seed}: {why}")));
             }
             AvoidanceVerdict::Unavoidable(certificate) => {
                 unavoidable += 1;
@@ -259,7 +235,7 @@ fn a_certificate_is_about_its_own_scenario() {
         |s| s.vehicles.truncate(2),
     ];
     let certified = |scenario: &Scenario| match decide_with_bound(scenario).verdict {
-        AvoidanceVerdict::Avoidable(escape) => Some(certify(&ScenarioBox::point(scenario), &escape).expect("accepted")),
+        AvoidanceVerdict::Avoidable(escape) => Some(certify(scenario, &escape).expect("accepted")),
         AvoidanceVerdict::Unavoidable(certificate) => Some(*certificate),
         AvoidanceVerdict::Undecided(_) => None,
     };
@@ -296,9 +272,7 @@ fn accepted_mutants_are_true() {
     let (mut accepted, mut rejected, mut kinds) = (0, 0, [0, 0]);
     for (scenario, verdict) in verdicts {
         let (kind, certificate) = match verdict {
-            AvoidanceVerdict::Avoidable(escape) => {
-                (0, certify(&ScenarioBox::point(&scenario), &escape).expect("accepted"))
-            }
+            AvoidanceVerdict::Avoidable(escape) => (0, certify(&scenario, &escape).expect("accepted")),
             AvoidanceVerdict::Unavoidable(certificate) => (1, *certificate),
             AvoidanceVerdict::Undecided(_) => continue,
         };
@@ -335,52 +309,6 @@ fn is_true_statement(original: &Certificate, mutant: &Value) -> bool {
         }),
         (_, other) => panic!("a mutant of another kind: {}", other.name()),
     }
-}
-
-#[test]
-fn a_box_is_decided_as_a_whole() {
-    let paper_1 = built_in_scenario("paper-1").unwrap();
-    let (rate, onset, speed) =
-        ("vehicles[0].driver.brake.rate_mps2", "vehicles[0].driver.brake.onset_s", "vehicles[1].speed_mps");
-    let ranges = |low, high| scenario_ranges([(rate, low, high), ("vehicles[1].position_m", 17.9, 18.1)]);
-    let family = ScenarioBox::new(&paper_1, &ranges(2.9, 3.1)).unwrap();
-    let avoidance = avoid_box(&family, AvoidOptions::default()).unwrap();
-    let AvoidanceVerdict::Avoidable(escape) = &avoidance.verdict else { panic!("{:?}", avoidance.verdict) };
-    let certificate = certify(&family, escape).unwrap();
-    check_certificate(&certificate);
-    assert!(covers_scenario(&certificate, &paper_1), "a scenario of the box");
-    for rate_mps2 in [2.9, 3.0, 3.1] {
-        let member = ScenarioBox::new(&escape.scenario, &scenario_ranges([(rate, rate_mps2, rate_mps2)])).unwrap();
-        assert_eq!(replay(member.centre(), 10.0).outcome, Outcome::NoCollision);
-    }
-    // No car stops from 25 m/s in 16 m before a wall, at any position in the box.
-    let wall = paper_1.edited(|s| s.vehicles[0].speed_mps = 0.0).unwrap();
-    let hopeless = ScenarioBox::new(&wall, &ranges(0.0, 3.0)).unwrap();
-    let AvoidanceVerdict::Unavoidable(proof) = avoid_box(&hopeless, AvoidOptions::default()).unwrap().verdict else {
-        panic!()
-    };
-    check_certificate(&proof);
-    let speeds = |low, high| scenario_ranges([(speed, low, high)]);
-    let wide = ScenarioBox::new(&wall, &speeds(18.0, 40.0)).unwrap();
-    let AvoidanceVerdict::Unavoidable(proof) = avoid_box(&wide, AvoidOptions::default()).unwrap().verdict else {
-        panic!()
-    };
-    check_certificate(&proof);
-    let partly = ScenarioBox::new(&wall, &speeds(10.0, 40.0)).unwrap();
-    assert!(matches!(avoid_box(&partly, AvoidOptions::default()).unwrap().verdict, AvoidanceVerdict::Undecided(_)));
-    // One profile escapes for all onsets of the braking.
-    let onsets = |low, high| scenario_ranges([(onset, low, high)]);
-    let family = ScenarioBox::new(&paper_1, &onsets(0.9, 1.1)).unwrap();
-    let AvoidanceVerdict::Avoidable(escape) = avoid_box(&family, AvoidOptions::default()).unwrap().verdict else {
-        panic!()
-    };
-    check_certificate(&certify(&family, &escape).unwrap());
-    for onset_s in [0.9, 1.0, 1.1] {
-        let member = ScenarioBox::new(&escape.scenario, &onsets(onset_s, onset_s)).unwrap();
-        let replayed = replay(member.centre(), 10.0);
-        assert!(smallest_gap_m(&replayed) >= escape.min_gap_m - 1e-9, "{onset_s}");
-    }
-    assert!(ScenarioBox::new(&paper_1, &scenario_ranges([("seed", 0.0, 1.0)])).is_err());
 }
 
 #[test]

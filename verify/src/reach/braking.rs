@@ -68,32 +68,6 @@ impl BrakingVehicle {
         since.low() >= 0.0 && (self.speed.range() - self.rate.range() * since * step).high() <= 0.0
     }
 
-    /// Returns the alternative accelerations in the step before instant k: zero, the mean of the step of the onset, or
-    /// the rate. A single one equals that of [`state_at`](Self::state_at).
-    pub(super) fn possible_accelerations(&self, k: u32, step: Interval) -> Vec<AffineForm> {
-        let k = f64::from(k);
-        let [first, last] = [self.onset_range.low(), self.onset_range.high()];
-        let since = AffineForm::constant(Interval::point(k - 1.0)).minus(&self.onset);
-        let speed = self.speed.clone().minus(&self.rate.times(&relu(&since).scaled(step))).range();
-        let (has_begun, begins_at_instants) = (first <= k - 1.0, self.onset_step_error_m == Interval::ZERO);
-        let stands = self.speed.range().low() <= 0.0 || has_begun && speed.low() <= 0.0;
-        let mut all = Vec::new();
-        if last >= k || stands || self.rate.is_zero() {
-            all.push(AffineForm::default());
-        }
-        if let Some(share) = Interval::new(k - last.min(k), k - first.max(k - 1.0))
-            && share.low() < 1.0
-            && share.high() > 0.0
-            && !begins_at_instants
-        {
-            all.push(AffineForm::constant(-(self.rate.range() * share.max(Interval::ZERO).min(Interval::ONE))));
-        }
-        if has_begun && speed.high() > 0.0 {
-            all.push(self.rate.scaled(Interval::point(-1.0)));
-        }
-        all
-    }
-
     pub(super) fn state_at(&self, k: u32, step: Interval) -> VehicleState {
         let k = f64::from(k);
         let coasting = self.speed.scaled(Interval::point(k) * step);

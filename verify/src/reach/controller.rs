@@ -33,7 +33,6 @@ use super::activation::Activation;
 use super::bounds::{InputForms, NetworkBounds};
 use super::form::AffineForm;
 use super::relax::relu;
-use super::residual::ResidualPolicy;
 use crate::interval::Interval;
 use crate::work::{OpBudget, WorkLimit};
 
@@ -56,7 +55,7 @@ pub struct NeuralController {
     pub layers: Vec<NetworkLayer>,
     /// Index of the used output, from 0.
     pub output_index: usize,
-    /// Factor of the output, in m/s²; 1 for the action of a residual policy, with an offset of 0.
+    /// Factor of the output, in m/s².
     pub scale_mps2: f64,
     /// Offset of the scaled output, in m/s².
     pub offset_mps2: f64,
@@ -64,8 +63,6 @@ pub struct NeuralController {
     pub action_bounds_mps2: [f64; 2],
     /// True if these bounds clip; false if the output cannot exceed them.
     pub is_clipped: bool,
-    /// Base controller of a residual policy; `None` if the output is an acceleration.
-    pub residual_over: Option<ResidualPolicy>,
     /// Gap that stands in for an absent vehicle, in metres.
     pub empty_gap_m: f64,
     /// Time between decisions, in seconds.
@@ -162,8 +159,6 @@ pub struct NativePolicy {
     pub empty_gap_m: f64,
     /// Accelerations for a tanh of -1 and 1, in m/s².
     pub action_bounds_mps2: [f64; 2],
-    /// Base controller, if the policy is a residual policy.
-    pub residual_over: Option<ResidualPolicy>,
     /// Time between decisions, in seconds.
     pub decision_interval_s: f64,
 }
@@ -180,17 +175,14 @@ impl From<NativePolicy> for NeuralController {
             high: own.limit,
         };
         let [low, high] = own.action_bounds_mps2;
-        let stretched = [0.5 * (high - low), 0.5 * (low + high)];
-        let [scale_mps2, offset_mps2] = if own.residual_over.is_some() { [1.0, 0.0] } else { stretched };
         Self {
             inputs: (0..OBSERVATION_SIZE).map(input).collect(),
             layers: interleave_relu(own.layers).chain([NetworkLayer::Activation(Activation::Tanh)]).collect(),
             output_index: 0,
-            scale_mps2,
-            offset_mps2,
+            scale_mps2: 0.5 * (high - low),
+            offset_mps2: 0.5 * (low + high),
             action_bounds_mps2: own.action_bounds_mps2,
             is_clipped: false,
-            residual_over: own.residual_over,
             empty_gap_m: own.empty_gap_m,
             decision_interval_s: own.decision_interval_s,
             source: None,
@@ -228,8 +220,7 @@ impl NeuralController {
         self.layers.iter().map(of_step).max().unwrap_or(0).saturating_mul(2 * size_of::<f64>())
     }
 
-    /// Returns the commanded acceleration in m/s², or the action of a residual policy, for observations with errors of
-    /// up to `error`.
+    /// Returns the commanded acceleration in m/s², for observations with errors of up to `error`.
     #[must_use]
     pub fn decide(
         &self,

@@ -73,12 +73,6 @@ impl EgoSet {
         Self { follower, ..self }
     }
 
-    /// Replaces the egos by later ones in a decision interval. A standing set that may move becomes restarted.
-    pub(super) fn with_ego(self, ego: VehicleState) -> Self {
-        let may_move = self.mode == MotionMode::Standing && !ego.speed.is_zero();
-        Self { mode: if may_move { MotionMode::Restarted } else { self.mode }, ego, ..self }
-    }
-
     /// Returns all egos `steps` steps into a decision interval; their acceleration is unspecified.
     pub(super) fn ego_after(&self, wanted: &AffineForm, step: Interval, steps: u32) -> VehicleState {
         if steps == 0 {

@@ -42,7 +42,6 @@ pub(super) fn affine_controller(of: [f64; OBSERVATION_SIZE], constant: f64) -> N
         offset_mps2: 0.0,
         action_bounds_mps2: [-8.0, 3.0],
         is_clipped: false,
-        residual_over: None,
         empty_gap_m: 80.0,
         decision_interval_s: 0.1,
         source: None,

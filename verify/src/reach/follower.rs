@@ -179,23 +179,18 @@ pub(super) struct LawFollower<'a> {
     step: Interval,
 }
 
-pub(super) struct LawInput {
+struct LawInput {
     gap: AffineForm,
     speed: AffineForm,
     closing: AffineForm,
-    /// Smallest observed speed in m/s: no vehicle reverses, but observations have errors.
-    min_speed_mps: f64,
 }
 
 impl LawInput {
     fn new(gap: AffineForm, speed: AffineForm, closing: AffineForm) -> Self {
-        Self::with_errors([gap, speed, closing], [0.0; 3])
-    }
-
-    pub(super) fn with_errors(mut seen: [AffineForm; 3], errors: [f64; 3]) -> Self {
-        seen.iter_mut().zip(errors).for_each(|(form, error)| form.widen(OBSERVATION_ROUNDING + error));
-        let ([gap, speed, closing], [_, of_speed, _]) = (seen, errors);
-        Self { gap, speed, closing, min_speed_mps: -of_speed }
+        let mut seen = [gap, speed, closing];
+        seen.iter_mut().for_each(|form| form.widen(OBSERVATION_ROUNDING));
+        let [gap, speed, closing] = seen;
+        Self { gap, speed, closing }
     }
 }
 
@@ -253,26 +248,15 @@ impl<'a> LawFollower<'a> {
 impl IdmLaw {
     /// Returns the acceleration of a vehicle that brakes at up to `brake`: the narrower of form and interval.
     fn acceleration(&self, sight: &LawInput, brake: &AffineForm) -> AffineForm {
-        let (acceleration, plain) = self.acceleration_bounds(sight, brake);
+        let acceleration = clamp_to_limits(&self.desired_acceleration(sight, brake), brake, self.max_accel_mps2);
+        let plain =
+            self.desired_acceleration_interval(sight).max(-brake.range()).min(Interval::point(self.max_accel_mps2));
         // For a gap near zero a line is wider than an interval.
         let is_wider = 2.0 * acceleration.radius() > plain.high() - plain.low();
         if is_wider { AffineForm::constant(plain) } else { acceleration }
     }
 
-    /// Returns the acceleration as a form and as an interval.
-    pub(super) fn acceleration_bounds(&self, sight: &LawInput, brake: &AffineForm) -> (AffineForm, Interval) {
-        let acceleration = clamp_to_limits(&self.desired_acceleration(sight, brake), brake, self.max_accel_mps2);
-        (
-            acceleration,
-            self.desired_acceleration_interval(sight).max(-brake.range()).min(Interval::point(self.max_accel_mps2)),
-        )
-    }
-
-    fn desired_acceleration(
-        &self,
-        LawInput { gap, speed, closing, min_speed_mps: least_mps }: &LawInput,
-        brake: &AffineForm,
-    ) -> AffineForm {
+    fn desired_acceleration(&self, LawInput { gap, speed, closing }: &LawInput, brake: &AffineForm) -> AffineForm {
         let point = Interval::point;
         let accel = point(self.accel_mps2);
         if gap.range().low() <= MIN_GAP_M {
@@ -285,21 +269,15 @@ impl IdmLaw {
         gap_wanted.shift(point(self.standstill_gap_m));
         let share = gap_wanted.times(&reciprocal(gap));
         let of_desired = speed.scaled(Interval::ONE.over(point(self.desired_speed_mps)));
-        let mut fourth = relu_squared(&relu_squared(&of_desired));
-        if *least_mps < 0.0 {
-            fourth.shift(Interval::ZERO.hull(point(*least_mps).over(point(self.desired_speed_mps)).sqr().sqr()));
-        }
+        let fourth = relu_squared(&relu_squared(&of_desired));
         let taken = fourth.plus(&relu_squared(&share));
         AffineForm::constant(accel).minus(&taken.scaled(accel))
     }
 
     /// Returns the desired acceleration in interval arithmetic, without correlations.
-    fn desired_acceleration_interval(
-        &self,
-        LawInput { gap, speed, closing, min_speed_mps: least_mps }: &LawInput,
-    ) -> Interval {
+    fn desired_acceleration_interval(&self, LawInput { gap, speed, closing }: &LawInput) -> Interval {
         let point = Interval::point;
-        let (speed, gap) = (speed.range().max(point(*least_mps)), gap.range().max(point(MIN_GAP_M)));
+        let (speed, gap) = (speed.range().max(Interval::ZERO), gap.range().max(point(MIN_GAP_M)));
         let wants = speed * point(self.time_headway_s) + speed * closing.range() * self.inverse_twice_geometric_mean();
         let share = (point(self.standstill_gap_m) + wants.max(Interval::ZERO)).over(gap);
         let fourth = speed.over(point(self.desired_speed_mps)).sqr().sqr();

@@ -65,15 +65,6 @@ impl LeaderModel {
         }
     }
 
-    /// Returns the alternative accelerations in the step before instant k; none if that of [`state_at`](Self::state_at)
-    /// suffices.
-    pub(super) fn possible_accelerations(&self, k: u32, step: Interval) -> Vec<AffineForm> {
-        match self {
-            Self::Scripted(braking) => braking.possible_accelerations(k, step),
-            Self::Bounded(_) => Vec::new(),
-        }
-    }
-
     /// Returns the state at instant k; inside a block of decisions with fewer correlations.
     pub(super) fn state_at(&self, k: u32, step: Interval) -> VehicleState {
         match self {

@@ -1,10 +1,9 @@
 //! Reachability of a closed loop with a learned policy, from every initial state of a box.
 //!
-//! An ego vehicle drives behind a leader that brakes. A network decides the ego's acceleration, or a residual that
-//! changes the command of a base controller. Behind the ego there may be a follower with a latched emergency brake or a
-//! control law. A *reach* statement bisects a box of initial states repeatedly. It claims that no member of some cells
-//! ever collides, and that other cells contain a member that collides. The check derives these claims again from the
-//! network file and the cuts alone. [`form`] has affine forms, and [`relax`] functions of them. [`controller`] bounds
+//! An ego vehicle drives behind a leader that brakes. A network decides the ego's acceleration. Behind the ego there
+//! may be a follower with a latched emergency brake or a control law. A *reach* statement bisects a box of initial
+//! states repeatedly. It claims that no member of some cells ever collides, and that other cells contain a member that
+//! collides. The check derives these claims again from the network file and the cuts alone. [`form`] has affine forms, and [`relax`] functions of them. [`controller`] bounds
 //! the network, with [`activation`] for its activation functions. [`braking`], [`leader`] and [`propagate`] bound the
 //! vehicles. Uncertainty is always enlarged, never dropped. Enclosures and their losses of tightness, with noise
 //! symbols as in [`form`]:
@@ -21,8 +20,6 @@
 //! - moving or standing: one set each, joined at each decision; some centimetres;
 //! - follower with a law: the [law](follower), per step; second order in the width, more if its emergency brake may
 //!   fire;
-//! - residual policy: [law and residual](residual), per step; second order in the width, more at the edge of the dead
-//!   zone;
 //! - firing instant of the follower: a propagation for each decision interval in which it may fire, with a symbol for
 //!   the instant; a small loss;
 //! - old noise symbols: merged (Girard order reduction of the zonotope); almost nothing;
@@ -43,7 +40,6 @@
 pub mod activation;
 pub mod bounds;
 pub mod braking;
-pub mod command_profile;
 pub mod controller;
 pub mod ego_set;
 #[cfg(test)]
@@ -56,8 +52,7 @@ pub mod policy_file;
 pub mod propagate;
 mod ranges;
 pub mod relax;
-pub mod residual;
-mod safetensors;
+pub mod safetensors;
 mod volume;
 pub mod window;
 
@@ -78,7 +73,6 @@ pub use follower::{AccAebLaw, FollowerLaw, FollowerModel, IdmLaw};
 use propagate::reach_with_budget;
 pub use propagate::{ReachProblem, ReachTube, reach, reach_with_tube};
 pub use ranges::{BoxDimension, InitialRanges};
-pub use residual::ResidualPolicy;
 
 /// Memory limit of all threads for the data between two layers, in bytes.
 const MAX_BYTES: usize = 256 << 20;
@@ -212,16 +206,6 @@ impl ReachClaim {
         if !(1..=MAX_STEPS).contains(&self.steps) || decision_steps > f64::from(self.steps) {
             return Err(Rejection::invalid("steps", "must be from one decision interval to 100 000"));
         }
-        if let Some(residual) =
-            controller.residual_over.filter(|residual| !residual.is_complete_in_one_step(self.step_s))
-        {
-            let (rate, step_s) = (residual.rate_per_s, self.step_s);
-            let problem = format!(
-                "changes its residual at {rate} 1/s, so that a change takes more than a step of {step_s} s: only a \
-                 residual that changes completely within a step can be checked"
-            );
-            return Err(Rejection::Policy { problem });
-        }
         let decision_steps = decision_steps as u32;
         if !self.steps.is_multiple_of(decision_steps) {
             return Err(Rejection::invalid("steps", "must be whole decision intervals"));
@@ -354,7 +338,6 @@ pub(crate) fn check(
         horizon_s: claim.horizon_s(),
         has_follower: scene.follower.is_some(),
         leader_brakes_at_most_mps2: claim.leader_brakes_at_most_mps2,
-        residual_over: controller.residual_over,
     })
 }
 

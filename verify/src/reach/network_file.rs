@@ -211,7 +211,6 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
         offset_mps2,
         action_bounds_mps2: [low_mps2, high_mps2],
         is_clipped: true,
-        residual_over: None,
         empty_gap_m: header.empty_gap_m,
         decision_interval_s: header.decision_interval_s,
         source: Some(header.source),

@@ -3,8 +3,6 @@
 use serde::Deserialize;
 
 use super::controller::{LinearLayer, NativePolicy, NeuralController, OBSERVATION_SIZE};
-use super::follower::IdmLaw;
-use super::residual::ResidualPolicy;
 use super::safetensors::{MAX_LAYER_WIDTH, MAX_NUMBERS, SafetensorsFile};
 use crate::canonical::UniqueKeys;
 
@@ -57,55 +55,6 @@ fn one() -> usize {
 struct PolicyFileAction {
     low_mps2: f64,
     high_mps2: f64,
-    #[serde(rename = "departs_from")]
-    residual_over: Option<PolicyFileResidual>,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct PolicyFileResidual {
-    dead_zone: f64,
-    rate_per_s: f64,
-    #[serde(default)]
-    idm: PolicyFileIdm,
-}
-
-/// Defaults are those of the simulator.
-#[derive(Deserialize)]
-#[serde(default, deny_unknown_fields)]
-struct PolicyFileIdm {
-    desired_speed_mps: f64,
-    time_headway_s: f64,
-    standstill_gap_m: f64,
-    accel_mps2: f64,
-    comfortable_brake_mps2: f64,
-}
-
-impl Default for PolicyFileIdm {
-    fn default() -> Self {
-        Self {
-            desired_speed_mps: 120.0 / 3.6,
-            time_headway_s: 1.6,
-            standstill_gap_m: 2.0,
-            accel_mps2: 0.73,
-            comfortable_brake_mps2: 1.67,
-        }
-    }
-}
-
-impl PolicyFileAction {
-    fn residual_policy(&self) -> Option<ResidualPolicy> {
-        let PolicyFileResidual { dead_zone, rate_per_s, ref idm } = *self.residual_over.as_ref()?;
-        let idm = IdmLaw {
-            desired_speed_mps: idm.desired_speed_mps,
-            time_headway_s: idm.time_headway_s,
-            standstill_gap_m: idm.standstill_gap_m,
-            accel_mps2: idm.accel_mps2,
-            comfortable_brake_mps2: idm.comfortable_brake_mps2,
-            max_accel_mps2: self.high_mps2,
-        };
-        Some(ResidualPolicy { dead_zone, rate_per_s, idm })
-    }
 }
 
 impl PolicyFileHeader {
@@ -137,10 +86,7 @@ impl PolicyFileHeader {
             let is_not = "only a network with the paper's eight inputs can be analysed";
             return Err(format!("{METADATA_KEY}: observation: extra: {is_not}"));
         }
-        if let Some(Err(problem)) = action.residual_policy().map(|residual| residual.check()) {
-            return Err(format!("{METADATA_KEY}: action: departs_from: {problem}"));
-        }
-        let PolicyFileAction { low_mps2: low, high_mps2: high, .. } = action;
+        let PolicyFileAction { low_mps2: low, high_mps2: high } = action;
         if low < high && (low - high).is_finite() && (low + high).is_finite() {
             Ok(())
         } else {
@@ -150,7 +96,11 @@ impl PolicyFileHeader {
 }
 
 pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralController, String> {
-    let header: PolicyFileHeader = serde_json::from_str(text).map_err(|error| format!("{METADATA_KEY}: {error}"))?;
+    let header: PolicyFileHeader = serde_json::from_str(text).map_err(|error| {
+        let hint =
+            if text.contains("\"departs_from\"") { ": residual policies were removed in crumple 0.3.0" } else { "" };
+        format!("{METADATA_KEY}: {error}{hint}")
+    })?;
     header.check()?;
     let sizes = [&[OBSERVATION_SIZE], header.hidden.as_slice(), &[1]].concat();
     let layers = sizes.windows(2).enumerate().map(|(index, pair)| {
@@ -168,7 +118,6 @@ pub(super) fn read(text: &str, file: &mut SafetensorsFile<'_>) -> Result<NeuralC
         limit,
         empty_gap_m,
         action_bounds_mps2: [header.action.low_mps2, header.action.high_mps2],
-        residual_over: header.action.residual_policy(),
         decision_interval_s: header.decision_interval_s,
     }
     .into())

@@ -2,8 +2,7 @@
 //!
 //! Leader and follower brake to standstill: see [`braking`](super::braking). A leader with bounded braking: see
 //! [`leader`](super::leader). A follower with a law: see [`follower`](super::follower). The ego between decisions: see
-//! [`ego_set`](super::ego_set), and for a residual policy [`command_profile`](super::command_profile) and
-//! [`residual`](super::residual).
+//! [`ego_set`](super::ego_set).
 //!
 //! # Sets
 //! There is a set for each motion mode of the ego: moving, standing, restarted. Sets of a mode are joined at every
@@ -19,12 +18,6 @@
 //! over-approximation: the members that fire are a subset of the propagated set; that their guard was >= 0 before is
 //! not exploited.
 //!
-//! # Observation of other vehicles
-//! A vehicle that brakes from some time on is observed at 0, at -b, or at the mean of both in the one step in between.
-//! If some members begin to brake or stop before a decision, these are two or three values, not the whole range. A
-//! [residual](super::residual) policy is evaluated for each value. The results are joined at the next decision; almost
-//! nothing is lost while no action leaves the dead zone.
-//!
 //! # Collisions
 //! Gaps are compared at decisions. In between g'' ≤ m, the largest acceleration of the vehicle ahead (at least 0) less
 //! the smallest of the one behind (at most 0), so g ≥ min(g at begin, g at end) - m (D h)²/8 throughout; see
@@ -37,13 +30,11 @@
 //! propagation stops.
 
 use super::braking::{BrakingVehicle, VehicleState};
-use super::command_profile::CommandProfile;
 use super::controller::{NeuralController, OBSERVATION_SIZE};
-use super::ego_set::{ByMode, EgoSet, SHARED_SYMBOLS};
-use super::follower::{FollowerLaw, FollowerModel, LawFollower, LawInput};
+use super::ego_set::{ByMode, EgoSet, MotionMode, SHARED_SYMBOLS};
+use super::follower::{FollowerLaw, FollowerModel, LawFollower};
 use super::form::AffineForm;
 use super::leader::LeaderModel;
-use super::residual::{Residual, ResidualPolicy, law_input_errors};
 use super::window::{FiringWindow, merge_windows};
 use super::{BoxDimension, InitialRanges, ReachResult, Undecided};
 use crate::interval::Interval;
@@ -58,8 +49,6 @@ const OPS_PER_DECISION: u64 = 50_000;
 const OPS_PER_LEADER_SYMBOL: u64 = 1_000;
 const OPS_PER_STEP: u64 = 10_000;
 const OPS_PER_LAW_SYMBOL: u64 = 3_000;
-const ACCELERATION_AHEAD: usize = 5;
-const ACCELERATION_BEHIND: usize = 7;
 /// Largest radius of speeds and commands before propagation stops.
 const MAX_RADIUS_MPS: f64 = 40.0;
 
@@ -92,29 +81,6 @@ struct StateSet {
     members: EgoSet,
     observation: [AffineForm; OBSERVATION_SIZE],
     gaps: [AffineForm; 2],
-    /// Alternative accelerations ahead and behind, if each is evaluated separately.
-    acceleration_cases: [Vec<AffineForm>; 2],
-}
-
-impl StateSet {
-    /// Returns the set once for each pair of accelerations ahead and behind.
-    fn split_cases(&self) -> Vec<Self> {
-        let mut cases = vec![self.clone()];
-        for (accelerations, number) in self
-            .acceleration_cases
-            .iter()
-            .zip([ACCELERATION_AHEAD, ACCELERATION_BEHIND])
-            .filter(|(all, _)| all.len() > 1)
-        {
-            let seeing = |acceleration: &AffineForm, case: &Self| {
-                let mut case = case.clone();
-                case.observation[number].clone_from(acceleration);
-                case
-            };
-            cases = cases.iter().flat_map(|case| accelerations.iter().map(move |a| seeing(a, case))).collect();
-        }
-        cases
-    }
 }
 
 struct ReachAnalysis<'a> {
@@ -237,22 +203,22 @@ impl ReachAnalysis<'_> {
             let mut next: ByMode<StateSet> = ByMode::default();
             let (mut window, mut stays) = (FiringWindow::new(k), true);
             sets.iter().flatten().for_each(|set| self.record_tube(k, &set.observation));
-            for set in sets.iter().flatten().flat_map(StateSet::split_cases) {
-                let profile = self.decide(k, &set)?;
+            for set in sets.iter().flatten() {
+                let wanted = self.decide(k, set)?;
                 if let (Some(follower), true) = (follower, has_not_fired)
-                    && let Some((instants, surely)) = self.firing_instants(k, &set.members, &profile, follower)
+                    && let Some((instants, surely)) = self.firing_instants(k, &set.members, &wanted, follower)
                 {
                     window.record_firing(set.members.mode, instants);
                     if surely {
                         continue;
                     }
                 }
-                stays &= profile.is_standing_throughout(set.members.mode);
-                let (driven, behind_m) = self.advance_follower(&set.members, &profile).unzip();
+                stays &= set.members.mode == MotionMode::Standing && wanted.range().high() <= 0.0;
+                let (driven, behind_m) = self.advance_follower(&set.members, &wanted).unzip();
                 let members = set.members.clone().with_follower(driven);
-                for members in profile.after_decision(&members, self.step, every).into_iter().flatten() {
+                for members in members.after_decision(&wanted, self.step, every).into_iter().flatten() {
                     let now = self.observe(k + every, members, follower);
-                    if self.record_gaps(k, &set.gaps, &now, &profile, follower, behind_m) {
+                    if self.record_gaps(k, &set.gaps, &now, &wanted, follower, behind_m) {
                         self.tube = None;
                     } else if self.scene.stop_when_undecided && self.result.undecided.is_some() {
                         return None;
@@ -304,47 +270,18 @@ impl ReachAnalysis<'_> {
         Some(all_touch)
     }
 
-    /// Returns the commands of a set until the next decision, or `None` if it is too wide.
-    fn decide(&mut self, k: u32, StateSet { members, observation: seen, .. }: &StateSet) -> Option<CommandProfile> {
+    /// Returns the acceleration of a set until the next decision, or `None` if it is too wide.
+    fn decide(&mut self, k: u32, StateSet { members, observation: seen, .. }: &StateSet) -> Option<AffineForm> {
         let of_leader = OPS_PER_LEADER_SYMBOL * self.leader.symbol_count() as u64;
         self.budget.charge(OPS_PER_DECISION + of_leader + OPS_PER_STEP * u64::from(self.scene.decision_steps));
         let ReachProblem { controller, observation_error, follower, .. } = self.scene;
         let wanted = controller.decide_with_budget(seen, observation_error, follower.is_some(), self.budget);
         let wanted = wanted.with_rest_as_symbol(members.next_symbol);
         if members.ego.speed.radius() < MAX_RADIUS_MPS && wanted.radius() < MAX_RADIUS_MPS {
-            return Some(match &controller.residual_over {
-                Some(residual) => self.residual_profile(k, members, residual, &wanted),
-                None => CommandProfile::Constant(wanted),
-            });
+            return Some(wanted);
         }
         self.record_undecided(Undecided::TooWide { step: k }, &members.ego.speed);
         None
-    }
-
-    fn residual_profile(
-        &self,
-        k: u32,
-        members: &EgoSet,
-        residual: &ResidualPolicy,
-        action: &AffineForm,
-    ) -> CommandProfile {
-        let ReachProblem { controller, observation_error, step_s, decision_steps, .. } = self.scene;
-        self.budget.charge(OPS_PER_LAW_SYMBOL * members.next_symbol as u64 * u64::from(*decision_steps));
-        let [low, high] = controller.action_bounds_mps2;
-        if !residual.is_complete_in_one_step(*step_s) {
-            let any = Interval::new(low, high).unwrap_or(Interval::ENTIRE);
-            return CommandProfile::from_steps(&members.ego, *decision_steps, self.step, |_, _| {
-                AffineForm::constant(any)
-            });
-        }
-        let bounds = Residual::new(residual, action, controller.action_bounds_mps2);
-        let errors = law_input_errors(observation_error);
-        CommandProfile::from_steps(&members.ego, *decision_steps, self.step, |j, ego| {
-            let leader = self.leader.state_at(k + j, self.step);
-            let gap = self.gaps[0].clone().plus(&leader.distance).minus(&ego.distance);
-            let seen = [gap, ego.speed.clone(), ego.speed.clone().minus(&leader.speed)];
-            residual.acceleration(&bounds, &LawInput::with_errors(seen, errors))
-        })
     }
 
     fn are_others_at_rest(&self, k: u32, follower: Option<&BrakingVehicle>) -> bool {
@@ -369,7 +306,6 @@ impl ReachAnalysis<'_> {
         let ego = members.ego.clone();
         let [ahead, behind] = &self.gaps;
         let ahead = ahead.clone().plus(&leader.distance).minus(&ego.distance);
-        let of_follower = follower.map_or_else(Vec::new, |follower| follower.possible_accelerations(k, self.step));
         let follower = members.follower.clone().or_else(|| Some(follower?.state_at(k, self.step)));
         let (behind, follower) = match follower {
             Some(follower) => (behind.clone().plus(&ego.distance).minus(&follower.distance), follower),
@@ -379,19 +315,10 @@ impl ReachAnalysis<'_> {
             }
         };
         let gaps = [ahead.clone(), behind.clone()];
-        let apart = match self.scene.controller.residual_over {
-            Some(_) => [self.leader.possible_accelerations(k, self.step), of_follower],
-            None => [Vec::new(), Vec::new()],
-        };
         let (speeds, accelerations) =
             ([leader.speed, ego.speed, follower.speed], [leader.acceleration, ego.acceleration, follower.acceleration]);
         let ([v_l, v_e, v_r], [a_l, a_e, a_r]) = (speeds, accelerations);
-        StateSet {
-            members,
-            observation: [ahead, behind, v_l, v_e, v_r, a_l, a_e, a_r],
-            gaps,
-            acceleration_cases: apart,
-        }
+        StateSet { members, observation: [ahead, behind, v_l, v_e, v_r, a_l, a_e, a_r], gaps }
     }
 
     /// Returns the instants of a decision interval at which the brake may fire, and whether it surely does.
@@ -399,13 +326,13 @@ impl ReachAnalysis<'_> {
         &self,
         k: u32,
         members: &EgoSet,
-        profile: &CommandProfile,
+        wanted: &AffineForm,
         follower: &BrakingVehicle,
     ) -> Option<([f64; 2], bool)> {
         let theta = Interval::point(self.scene.latched_ttc_s()?);
         let mut first = None;
         for j in 0..self.scene.decision_steps {
-            let ego = profile.ego_after(members, self.step, j);
+            let ego = members.ego_after(wanted, self.step, j);
             let mut guard = self.gaps[1].clone().plus(&ego.distance);
             guard.add_scaled(&ego.speed, theta);
             guard.add_scaled(&follower.speed, -(theta + Interval::point(f64::from(k + j)) * self.step));
@@ -422,15 +349,15 @@ impl ReachAnalysis<'_> {
     }
 
     /// Returns a follower with a law at the next decision, and a bound of the gap until then, in metres.
-    fn advance_follower(&self, members: &EgoSet, profile: &CommandProfile) -> Option<(VehicleState, f64)> {
+    fn advance_follower(&self, members: &EgoSet, wanted: &AffineForm) -> Option<(VehicleState, f64)> {
         let start = members.follower.as_ref()?;
         self.budget.charge(OPS_PER_LAW_SYMBOL * members.next_symbol as u64 * u64::from(self.scene.decision_steps));
         let behind = LawFollower::new(self.scene.follower_law()?, &self.scene.ranges, &self.gaps[1], self.step);
         let eighth = self.step.sqr() * Interval::point(0.125);
-        let ahead = profile.accelerations_mps2().max(Interval::ZERO);
+        let ahead = wanted.range().max(Interval::ZERO);
         let (mut own, mut ego, mut least_m) = (start.clone(), members.ego.clone(), f64::INFINITY);
         for j in 1..=self.scene.decision_steps {
-            let ego_later = profile.ego_after(members, self.step, j);
+            let ego_later = members.ego_after(wanted, self.step, j);
             let (later, acceleration) = behind.advance(&own, &ego);
             let m = ahead + (-acceleration.range()).max(Interval::ZERO);
             let ends = behind.gap(&ego, &own).range().min(behind.gap(&ego_later, &later).range());
@@ -447,20 +374,20 @@ impl ReachAnalysis<'_> {
         k: u32,
         before: &[AffineForm; 2],
         now: &StateSet,
-        profile: &CommandProfile,
+        wanted: &AffineForm,
         follower: Option<&BrakingVehicle>,
         driven_m: Option<f64>,
     ) -> bool {
         let interval = Interval::point(f64::from(self.scene.decision_steps)) * self.step;
         let eighth = interval.sqr() * Interval::point(0.125);
-        let acts_mps2 = profile.accelerations_mps2();
+        let acts_mps2 = wanted.range();
         let braking = (-acts_mps2).max(Interval::ZERO);
         let least_m = |pair: usize, m: Interval| {
             let least = before[pair].range().min(now.gaps[pair].range());
             (least - m * eighth).low()
         };
         // There is no follower, or one that brakes at most as hard as stated.
-        let moves = profile.is_moving_throughout(&now.members.ego.speed);
+        let moves = now.members.ego.speed.range().low() > 0.0;
         let ahead = if moves { acts_mps2 } else { acts_mps2.max(Interval::ZERO) };
         // No vehicle reverses: the gap to a standing follower never falls.
         let latched = follower.filter(|follower| !follower.has_stood(k, self.step));

@@ -317,7 +317,6 @@ fn results_are_printed_in_words() {
             horizon_s: 4.0,
             has_follower,
             leader_brakes_at_most_mps2,
-            residual_over: None,
         }
         .to_string()
     };

@@ -7,10 +7,9 @@ use proptest::prelude::*;
 use crate::law_follower::any_law;
 use crate::leader::unscripted;
 use crate::reach::{LATCHED, any_ranges, any_unit, box_member, paper_box, paper_problem};
-use crate::residual::any_residual_policy;
 use crate::support::closed_loop::{ReachPoint, XorShiftRng, simulate};
 use crate::support::exact::{FixedPointInterval, TooClose, simulate_exactly};
-use crate::support::networks::{any_network, residual_network};
+use crate::support::networks::{any_network, native_network};
 use crate::support::policy_bytes;
 
 /// Generates observation errors: each the largest, to one side or the other, or none.
@@ -84,9 +83,8 @@ proptest! {
         every in prop::sample::select(vec![1_u32, 2, 5, 10]),
         places in prop::collection::vec((any_unit(), any::<u64>()), 4),
         (step_s, steps) in prop::sample::select(vec![(0.01, 300), (0.01, 300), (0.1, 100), (0.5, 40)]),
-        residual_over in prop::option::of(any_residual_policy()),
     ) {
-        let controller = gain.map_or_else(|| any_network(seed), |g| residual_network(&[12, 9], g, seed, residual_over));
+        let controller = gain.map_or_else(|| any_network(seed), |g| native_network(&[12, 9], g, seed));
         let ranges = if limit_mps2.is_some() { unscripted(ranges) } else { ranges };
         let whole = ReachProblem {
             follower, leader_brakes_at_most_mps2: limit_mps2, observation_error,

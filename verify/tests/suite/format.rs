@@ -216,7 +216,7 @@ fn the_scope_of_a_claim_is_printed() {
         (1, "\nbehind: 1 vehicle, not part of the claim\n"),
         (2, "\nbehind: 2 vehicles, not part of the claim\n"),
     ] {
-        let message = unavoidable().scope_with_uncovered_vehicles(None, left_out).to_string();
+        let message = unavoidable().scope_with_uncovered_vehicles(left_out).to_string();
         assert!(message.contains(words), "{words}: {message}");
     }
     let accepted = check(&unavoidable()).unwrap().to_string();

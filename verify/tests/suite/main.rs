@@ -23,7 +23,6 @@ mod network_files;
 mod rate;
 mod reach;
 mod reach_claims;
-mod residual;
 mod support;
 mod unavoidable;
 mod work;

@@ -2,7 +2,6 @@
 
 use crumple_verify::reach::{
     AccAebLaw, BoxDimension, FollowerLaw, IdmLaw, InitialRanges, NeuralController, PartitionCell, ReachClaim,
-    ResidualPolicy,
 };
 use crumple_verify::{Interval, Rejection};
 
@@ -131,34 +130,11 @@ fn replace(text: &mut String, from: &str, to: &str) {
     *text = text.replacen(from, to, 1);
 }
 
-fn insert_residual(text: &mut String, how: &str) {
-    replace(text, "\"low_mps2\":-7.5", &format!("\"low_mps2\":-7.5,\"departs_from\":{{{how}}}"));
-}
-
-/// Absent parameters are those of the simulator.
-#[test]
-fn a_residual_policy_is_read_with_its_base_controller() {
-    let how = |how: &str| NeuralController::from_bytes(&with_header(|text, _| insert_residual(text, how))).unwrap();
-    let residual = ResidualPolicy { dead_zone: 0.3, rate_per_s: 200.0, idm: IDM_LAW };
-    let controller = how("\"dead_zone\":0.3,\"rate_per_s\":200");
-    assert_eq!((controller.residual_over, controller.scale_mps2, controller.offset_mps2), (Some(residual), 1.0, 0.0));
-    assert_eq!(controller.action_bounds_mps2, [-7.5, 3.0]);
-    let other = how("\"dead_zone\":0.3,\"rate_per_s\":200,\"idm\":{\"time_headway_s\":1.3}");
-    let idm = IdmLaw { time_headway_s: 1.3, ..IDM_LAW };
-    assert_eq!(other.residual_over, Some(ResidualPolicy { idm, ..residual }));
-    // A step of 0.01 s completes any change at 200 1/s, but not at 199.
-    assert!(claim().problem(&controller).is_ok());
-    let slow = how("\"dead_zone\":0.3,\"rate_per_s\":199");
-    let refused = claim().problem(&slow).unwrap_err();
-    assert!(matches!(refused, Rejection::Policy { .. }), "{refused:?}");
-    assert!(refused.to_string().contains("at 199 1/s, so that a change takes more than a step of 0.01 s"), "{refused}");
-}
-
 #[test]
 fn controllers_that_the_simulator_rejects_are_refused() {
     assert!(NeuralController::from_bytes(&with_header(|_, _| ())).is_ok());
     type PolicyTextMutation = fn(&mut String, &mut String);
-    let changes: [(&str, PolicyTextMutation); 18] = [
+    let changes: [(&str, PolicyTextMutation); 14] = [
         ("version 2 is not supported: this release reads 1", |text, _| replace(text, "\"version\":1", "\"version\":2")),
         ("missing field `version`", |text, _| replace(text, "\"version\":1,", "")),
         ("unknown field `colour`", |text, _| replace(text, "\"version\":1", "\"version\":1,\"colour\":3")),
@@ -167,18 +143,9 @@ fn controllers_that_the_simulator_rejects_are_refused() {
         ("estimator: \"lidar\" is not known", |text, _| replace(text, "\"kalman\"", "\"lidar\"")),
         ("finite and in order", |text, _| replace(text, "\"low_mps2\":-7.5", "\"low_mps2\":7.5")),
         ("only a network without history", |text, _| replace(text, "\"limit\":", "\"history\":2,\"limit\":")),
-        ("action: departs_from: dead_zone: 1 is not from 0 to 0.99", |text, _| {
-            insert_residual(text, "\"dead_zone\":1.0,\"rate_per_s\":4.0")
-        }),
-        ("action: departs_from: rate_per_s: 2000 is not", |text, _| {
-            insert_residual(text, "\"dead_zone\":0.3,\"rate_per_s\":2e3")
-        }),
-        ("action: departs_from: accel_mps2: 0 is not", |text, _| {
-            insert_residual(text, "\"dead_zone\":0.3,\"rate_per_s\":4.0,\"idm\":{\"accel_mps2\":0.0}");
-        }),
-        ("missing field `rate_per_s`", |text, _| insert_residual(text, "\"dead_zone\":0.3")),
-        ("unknown field `max_accel_mps2`", |text, _| {
-            insert_residual(text, "\"dead_zone\":0.3,\"rate_per_s\":4.0,\"idm\":{\"max_accel_mps2\":1.0}");
+        ("residual policies were removed", |text, _| {
+            let law = "\"low_mps2\":-7.5,\"departs_from\":{\"dead_zone\":0.3,\"rate_per_s\":200}";
+            replace(text, "\"low_mps2\":-7.5", law);
         }),
         ("unknown field `note`", |_, header| replace(header, "\"crumple_policy\"", "\"note\":\"\",\"crumple_policy\"")),
         ("duplicate key \"actor.0.bias\"", |_, header| {

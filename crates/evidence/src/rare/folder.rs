@@ -7,7 +7,7 @@ use serde_json::json;
 
 use super::plan::RareRecord;
 use super::progress::RareProgress;
-use super::{Pilot, RareError, RarePlan, RareReport};
+use super::{RareError, RarePlan, RareReport, SplittingLevels};
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
 use crumple_store::run_folder::{RunFolder, RunFolderError, RunFolderOptions};
 
@@ -42,7 +42,6 @@ impl RareRecord {
             "space_sha256": self.space_sha256,
             "failure": self.failure,
             "seed": self.seed,
-            "method": self.method,
             "effort": self.effort,
         });
         let asked = RunFolderOptions {
@@ -98,7 +97,11 @@ impl RareFolder {
     ///
     /// # Errors
     /// [`RareError`] if a run fails, a file cannot be written, or `observer` stops the pilot.
-    pub fn run_pilot(&mut self, plan: &RarePlan, observer: &dyn Observer<RunProgress>) -> Result<Pilot, RareError> {
+    pub fn run_pilot(
+        &mut self,
+        plan: &RarePlan,
+        observer: &dyn Observer<RunProgress>,
+    ) -> Result<SplittingLevels, RareError> {
         self.progress.run_pilot(plan, &ProgressCounter::new(observer, None))
     }
 
@@ -110,13 +113,13 @@ impl RareFolder {
     pub fn estimate(
         &mut self,
         plan: &RarePlan,
-        pilot: &Pilot,
+        pilot: &SplittingLevels,
         resamples: u32,
         observer: &dyn Observer<RunProgress>,
     ) -> Result<RareReport, RareError> {
         let (all, counter) = (0..plan.effort.repetitions as u64, ProgressCounter::new(observer, None));
         let repeated = self.progress.run_repetitions(plan, pilot, all, &counter)?;
-        let report = plan.record()?.report(pilot.summary([&repeated]));
+        let report = plan.record()?.report(pilot.summary(repeated));
         let report = self.add_exposure(plan, report, resamples, &counter)?;
         self.write_report(&report)?;
         Ok(report)

@@ -1,4 +1,4 @@
-//! Estimation of rare failure rates: multilevel splitting and importance sampling.
+//! Estimation of rare failure rates by multilevel splitting.
 //!
 //! Counting a failure of probability 10⁻⁷ would take 10⁹ runs. Splitting (Kahn and Harris, 1951; Au and Beck,
 //! Estimation of small failure probabilities by subset simulation, 2001) uses a margin g that is negative for a
@@ -19,18 +19,12 @@
 //! Sequential Monte Carlo for rare event estimation, 2012). The spread of the independent repetitions measures its
 //! precision without assumptions on the chains.
 //!
-//! Importance sampling ([`RareMethod::Importance`]) samples where the pilot arrives, with exact weights: the same mean
-//! from far fewer runs if failures are in a few regions. Its distribution is fixed before the repetitions as well.
-//!
 //! The runs are chosen adaptively, so they cannot count for a certificate; [`RatePlan`](super::RatePlan) does not
 //! accept them. If the likeliest cause of failures is hard to reach, few repetitions find it: estimate and spread are
 //! then far too low, more often than the interval states. Sensor noise is resampled, not guided, so failures that noise
 //! alone causes are found no sooner than by counting.
 
 mod folder;
-mod importance;
-mod mixture;
-mod pilot;
 mod plan;
 mod progress;
 #[cfg(test)]
@@ -42,10 +36,8 @@ mod tests;
 use serde::{Deserialize, Serialize};
 
 pub use folder::RareFolder;
-pub use importance::ImportanceProposal;
-pub use pilot::{Pilot, Repetitions};
 pub use plan::{RareError, RarePlan, RareReport};
-pub use splitting::{MAX_LEVELS, PILOT_FACTORS, SplittingLevels};
+pub use splitting::{MAX_LEVELS, PILOT_FACTORS, Repetition, SplittingLevels};
 
 /// Effort of an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -55,17 +47,6 @@ pub struct SplittingConfig {
     /// Number of independent populations, at least 5.
     #[serde(rename = "populations")]
     pub repetitions: usize,
-}
-
-/// Estimation method.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize, Deserialize)]
-#[serde(rename_all = "kebab-case")]
-pub enum RareMethod {
-    /// Multilevel splitting: the product of the shares that pass each level.
-    #[default]
-    Splitting,
-    /// Importance sampling from a distribution that is fitted to failures of such populations.
-    Importance,
 }
 
 impl SplittingConfig {
@@ -130,10 +111,9 @@ pub struct RareEstimate {
     /// Relative standard deviation of the mean of the repetitions; `None` if that is zero.
     pub coefficient_of_variation: Option<f64>,
     /// Confidence interval at 95 %, if the estimate is above 0: Student's t on a logarithmic scale. Clopper-Pearson
-    /// with a single level, which is a count, and for the independent samples if the spread leaves nothing below 1.
+    /// with a single level, which is a count.
     pub interval_95: Option<[f64; 2]>,
-    /// Results of the repetitions. The estimate is their mean; with weights that may exceed 1, to which the estimate is
-    /// limited.
+    /// Results of the repetitions. The estimate is their mean.
     pub repetitions: Vec<f64>,
     /// Number of runs, including the pilot.
     pub evaluations: u64,
@@ -143,10 +123,6 @@ pub struct RareEstimate {
     /// Number of these that failed.
     #[serde(default)]
     pub independent_failures: u64,
-    /// Levels; those of the pilot if it reached no failure, and for importance sampling.
+    /// Levels; those of the pilot if it reached no failure.
     pub levels: Vec<Level>,
-    /// Largest share of one run in the sum of the weights, for importance sampling; if it is large, the spread is
-    /// unreliable.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub largest_weight: Option<f64>,
 }

@@ -4,7 +4,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::splitting::{LimitState, RandomInputs};
-use super::{Pilot, RareEstimate, RareMethod, SplittingConfig};
+use super::{RareEstimate, SplittingConfig, SplittingLevels};
 use crate::exposure::{FailureProbability, RatePerExposure, estimate_on_resamples};
 use crumple_core::digest::sha256;
 use crumple_core::observer::{ProgressCounter, Stopped};
@@ -29,8 +29,6 @@ pub struct RarePlan {
     pub seed: u64,
     /// Specification that must hold.
     pub specification: Specification,
-    /// Estimation method.
-    pub method: RareMethod,
     /// Effort of the estimate.
     pub effort: SplittingConfig,
 }
@@ -100,9 +98,6 @@ pub struct RareReport {
     pub failure: String,
     /// Seed of all random numbers.
     pub seed: u64,
-    /// Estimation method.
-    #[serde(default)]
-    pub method: RareMethod,
     /// Effort of the estimate.
     #[serde(flatten)]
     pub effort: SplittingConfig,
@@ -129,7 +124,6 @@ pub(super) struct RareRecord {
     pub(super) space_sha256: String,
     pub(super) failure: String,
     pub(super) seed: u64,
-    pub(super) method: RareMethod,
     pub(super) effort: SplittingConfig,
 }
 
@@ -184,7 +178,7 @@ impl RarePlan {
     ) -> Result<RareEstimate, RareError> {
         let (controller, specification) = (self.controller.clone(), self.specification.clone());
         let other = Self { controller, space: space.clone(), specification, seed, effort: RESAMPLE_EFFORT, ..*self };
-        Pilot::run(&other, other.method, other.effort, seed, counter)?.estimate(&other, counter)
+        SplittingLevels::run_pilots(&other, other.effort, seed, counter)?.estimate(&other, counter)
     }
 
     /// Returns the configuration of the estimate without the text of the space.
@@ -203,7 +197,6 @@ impl RarePlan {
                 other => format!("`{other}` {VIOLATED_SUFFIX}"),
             },
             seed: self.seed,
-            method: self.method,
             effort: self.effort,
         })
     }
@@ -224,7 +217,6 @@ impl RareRecord {
             space_sha256: record.space_sha256,
             failure: record.failure,
             seed: record.seed,
-            method: record.method,
             effort: record.effort,
             estimate,
             exposure: None,

@@ -1,14 +1,13 @@
-//! Progress of an unfinished estimate in the file `progress.json`. The file holds the pilot, or its state
-//! after each population and round of a fit; completed repetitions; and estimates in resamples. All of them depend on
-//! the seed only, so a resumed estimate has the result of an uninterrupted one.
+//! Progress of an unfinished estimate in the file `progress.json`. The file holds the pilot, completed repetitions, and
+//! estimates in resamples. All of them depend on the seed only, so a resumed estimate has the result of an
+//! uninterrupted one.
 
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use super::importance::MixtureFitting;
 use super::plan::RareRecord;
-use super::{Pilot, RareError, RareEstimate, RarePlan, Repetitions};
+use super::{RareError, RareEstimate, RarePlan, Repetition, SplittingLevels};
 use crumple_core::observer::ProgressCounter;
 use crumple_store::run_folder::{RunFolder, RunFolderError};
 use crumple_world::scenario::space::ScenarioSpace;
@@ -26,11 +25,9 @@ pub(super) struct RareProgress {
 #[serde(deny_unknown_fields)]
 struct RareProgressFile {
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    fitting: Option<MixtureFitting>,
+    pilot: Option<SplittingLevels>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
-    pilot: Option<Pilot>,
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    repetitions: Option<Repetitions>,
+    repetitions: Option<Vec<Repetition>>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[serde(rename = "resampled")]
     resample_estimates: Option<ResampleEstimates>,
@@ -57,50 +54,37 @@ impl RareProgress {
     }
 
     /// Returns the saved pilot, or runs the rest of it.
-    pub(super) fn run_pilot(&mut self, plan: &RarePlan, counter: &ProgressCounter<'_>) -> Result<Pilot, RareError> {
-        let dimension = plan.space.dimension();
-        let may_be = |fitting: &MixtureFitting| fitting.is_consistent_with(plan.effort, plan.seed, dimension);
-        if !self.state.pilot.iter().all(|pilot| pilot.has_dimension(dimension))
-            || !self.state.fitting.iter().all(may_be)
-        {
-            return Err(
-                RunFolderError::damaged(&self.run_folder.path(PROGRESS_FILE), "belongs to another space").into()
-            );
-        }
+    pub(super) fn run_pilot(
+        &mut self,
+        plan: &RarePlan,
+        counter: &ProgressCounter<'_>,
+    ) -> Result<SplittingLevels, RareError> {
         if let Some(pilot) = &self.state.pilot {
             return Ok(pilot.clone());
         }
-        let work = &self.run_folder;
-        let mut keep = |fitting: &MixtureFitting| -> Result<(), RareError> {
-            RareProgressFile { fitting: Some(fitting.clone()), ..RareProgressFile::default() }.write(work)
-        };
-        let asked = (plan.method, plan.effort, plan.seed);
-        let pilot = Pilot::resume(plan, asked, self.state.fitting.take(), &mut keep, counter)?;
+        let pilot = SplittingLevels::run_pilots(plan, plan.effort, plan.seed, counter)?;
         self.state.pilot = Some(pilot.clone());
         self.state.write(&self.run_folder)?;
         Ok(pilot)
     }
 
     pub(super) fn completed_repetitions(&self) -> u64 {
-        self.state.repetitions.as_ref().map_or(0, Repetitions::count)
+        self.state.repetitions.as_ref().map_or(0, |done| done.len() as u64)
     }
 
     /// Runs those of the repetitions that are not saved.
     pub(super) fn run_repetitions(
         &mut self,
         plan: &RarePlan,
-        pilot: &Pilot,
+        pilot: &SplittingLevels,
         own: Range<u64>,
         counter: &ProgressCounter<'_>,
-    ) -> Result<Repetitions, RareError> {
+    ) -> Result<Vec<Repetition>, RareError> {
         let mut next = own.start + self.completed_repetitions();
-        let mut repetitions = match self.state.repetitions.take() {
-            Some(kept) => kept,
-            None => pilot.run_repetitions(plan, own.start..own.start, counter)?,
-        };
+        let mut repetitions = self.state.repetitions.take().unwrap_or_default();
         while pilot.reaches_failure() && next < own.end {
             let end = own.end.min(next.saturating_add(pilot.repetitions_per_write()));
-            repetitions.append(pilot.run_repetitions(plan, next..end, counter)?);
+            repetitions.extend(pilot.run_repetitions(plan, next..end, counter)?);
             next = end;
             self.state.repetitions = Some(repetitions.clone());
             self.state.write(&self.run_folder)?;
@@ -160,9 +144,9 @@ impl RareProgressFile {
     }
 
     fn is_consistent_with(&self, record: &RareRecord, repetitions: u64) -> bool {
-        let is_own = |pilot: &Pilot| pilot.is_run_by(record.method, record.effort, record.seed);
-        let may_be = |some: &Repetitions| {
-            some.count() <= repetitions && self.pilot.as_ref().is_some_and(|pilot| pilot.is_consistent_with(some))
+        let is_own = |pilot: &SplittingLevels| pilot.is_placed_by(record.effort, record.seed);
+        let may_be = |some: &Vec<Repetition>| {
+            some.len() as u64 <= repetitions && self.pilot.as_ref().is_some_and(|pilot| pilot.is_consistent_with(some))
         };
         self.pilot.iter().all(is_own) && self.repetitions.iter().all(may_be)
     }

@@ -48,10 +48,10 @@ proptest! {
     /// Repeated interruptions, with any number of threads, do not change the bytes of the result.
     #[test]
     fn an_interrupted_estimate_resumes_to_the_same_bytes(
-        (importance, seed) in (any::<bool>(), 0..20_u64),
+        seed in 0..20_u64,
         interruptions in prop::collection::vec((100..6000_u64, 1..=3_usize), 1..5),
     ) {
-        let plan = rare_plan(if importance { RareMethod::Importance } else { RareMethod::Splitting }, seed, 14);
+        let plan = rare_plan(seed, 14);
         let root = tempfile::tempdir().unwrap();
         let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
         let all = with_threads(2, || run_until(&plan, &through, u64::MAX)).unwrap();
@@ -67,28 +67,26 @@ proptest! {
 
 #[test]
 fn repetitions_are_kept_as_they_end() {
-    for method in [RareMethod::Splitting, RareMethod::Importance] {
-        let (plan, root) = (rare_plan(method, 1, 14), tempfile::tempdir().unwrap());
-        let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
-        let all = with_threads(1, || run_until(&plan, &through, u64::MAX)).unwrap();
-        assert_eq!(with_threads(1, || run_until(&plan, &broken, all - 1)), None);
-        assert!(plan.open_folder(&broken, true).unwrap().completed_repetitions() >= 4, "{method:?}");
-        let left = with_threads(1, || run_until(&plan, &broken, u64::MAX)).unwrap();
-        assert!(left > 0 && left < all / 3, "{method:?}: {left} of {all}");
-        assert_same(&through, &broken);
-    }
+    let (plan, root) = (rare_plan(1, 14), tempfile::tempdir().unwrap());
+    let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
+    let all = with_threads(1, || run_until(&plan, &through, u64::MAX)).unwrap();
+    assert_eq!(with_threads(1, || run_until(&plan, &broken, all - 1)), None);
+    assert!(plan.open_folder(&broken, true).unwrap().completed_repetitions() >= 4);
+    let left = with_threads(1, || run_until(&plan, &broken, u64::MAX)).unwrap();
+    assert!(left > 0 && left < all / 3, "{left} of {all}");
+    assert_same(&through, &broken);
 }
 
 #[test]
 fn only_the_same_estimate_resumes_an_unfinished_folder() {
-    let (plan, root) = (rare_plan(RareMethod::Importance, 1, 14), tempfile::tempdir().unwrap());
+    let (plan, root) = (rare_plan(1, 14), tempfile::tempdir().unwrap());
     assert_eq!(with_threads(1, || run_until(&plan, root.path(), 3000)), None);
     assert!(root.path().join(PROGRESS_FILE).exists());
     let error = |plan: &RarePlan, resume| plan.open_folder(root.path(), resume).err().map(|error| error.to_string());
     assert!(
         error(&plan, false).unwrap().ends_with("already holds a rare-failure estimate: use --resume or another --out")
     );
-    for other in [rare_plan(RareMethod::Splitting, 1, 14), rare_plan(RareMethod::Importance, 2, 14)] {
+    for other in [rare_plan(2, 14), rare_plan(1, 15)] {
         assert!(
             error(&other, true).unwrap().ends_with("the rare-failure estimate there has a different configuration")
         );

@@ -13,6 +13,8 @@ use crate::RateInterval;
 use crumple_core::observer::{ProgressCounter, Stopped};
 use crumple_world::random::{Purpose, Stream, stream};
 
+/// Minimum number of runs between checkpoints: writing one costs milliseconds.
+const MIN_RUNS_PER_WRITE: u64 = 500;
 /// Maximum number of levels: a rarer failure than about 10⁻¹² is not reached.
 pub const MAX_LEVELS: usize = 18;
 /// Population sizes of pilots, relative to a repetition. The next pilot runs if the earlier ones reached no failure: a
@@ -55,9 +57,9 @@ pub(super) trait LimitState: Sync {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SplittingLevels {
-    pub(super) effort: SplittingConfig,
-    pub(super) seed: u64,
-    pub(super) stages: Vec<SplittingStage>,
+    effort: SplittingConfig,
+    seed: u64,
+    stages: Vec<SplittingStage>,
     #[serde(rename = "pilot")]
     pilot_runs: u64,
     /// Number of independent initial samples; only those of the first pilot if a failure was reached.
@@ -71,7 +73,7 @@ pub struct SplittingLevels {
 
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub(super) struct SplittingStage {
+struct SplittingStage {
     threshold: f64,
     is_last: bool,
     step: f64,
@@ -85,13 +87,13 @@ impl SplittingStage {
     }
 }
 
-pub(super) type Particle = (RandomInputs, f64);
+type Particle = (RandomInputs, f64);
 
-pub(super) struct ParticlePopulation<'a, P: LimitState> {
+struct ParticlePopulation<'a, P: LimitState> {
     problem: &'a P,
     samples: usize,
     random: Stream,
-    pub(super) evaluations: u64,
+    evaluations: u64,
     counter: &'a ProgressCounter<'a>,
 }
 
@@ -239,7 +241,7 @@ impl SplittingLevels {
         if self.reaches_failure { (self.effort.repetitions * self.effort.samples * (1 + moves)) as u64 } else { 0 }
     }
 
-    pub(super) fn pilot_estimate(&self) -> RareEstimate {
+    fn pilot_estimate(&self) -> RareEstimate {
         RareEstimate {
             evaluations: self.pilot_runs,
             independent_runs: self.pilot_draws,
@@ -259,15 +261,33 @@ impl SplittingLevels {
         repetitions: Range<u64>,
         counter: &ProgressCounter<'_>,
     ) -> Result<Vec<Repetition>, P::Error> {
-        let repetitions = if self.reaches_failure { repetitions } else { 0..0 };
+        let planned = if self.reaches_failure { self.effort.repetitions as u64 } else { 0 };
+        let repetitions = repetitions.start..repetitions.end.min(planned);
         let repeat = |index: u64| {
             let random = stream(self.seed, Purpose::RareEvents, 1 + index);
             let mut climber = ParticlePopulation::new(problem, self.effort.samples, random, counter);
-            let mut seen = Vec::with_capacity(self.stages.len());
-            let failures = climber.climb(&self.stages, None, |here, _| seen.push(here))?;
-            Ok(Repetition { initial_failures: failures, levels: seen, evaluations: climber.evaluations })
+            let (initial_failures, levels) = climber.climb(&self.stages)?;
+            Ok(Repetition { initial_failures, levels, evaluations: climber.evaluations })
         };
         repetitions.into_par_iter().map(repeat).collect()
+    }
+
+    /// Runs all repetitions. The result does not depend on the number of threads.
+    ///
+    /// # Errors
+    /// Errors of the problem.
+    pub(super) fn estimate<P: LimitState>(
+        &self,
+        problem: &P,
+        counter: &ProgressCounter<'_>,
+    ) -> Result<RareEstimate, P::Error> {
+        Ok(self.summary(self.run_repetitions(problem, 0..u64::MAX, counter)?))
+    }
+
+    /// Returns the number of repetitions between checkpoints: at least one per thread, and more if they are short.
+    pub(super) fn repetitions_per_write(&self) -> u64 {
+        let each = (self.planned_runs() / self.effort.repetitions.max(1) as u64).max(1);
+        MIN_RUNS_PER_WRITE.div_ceil(each).max(rayon::current_num_threads() as u64)
     }
 
     pub(super) fn is_placed_by(&self, effort: SplittingConfig, seed: u64) -> bool {
@@ -324,11 +344,11 @@ impl SplittingLevels {
 }
 
 impl RareEstimate {
-    /// Sets mean and spread of independent repetitions. A mean of weights may exceed 1; the probability is limited.
-    pub(super) fn with_repetitions(self, repetitions: Vec<f64>) -> Self {
+    /// Sets mean and spread of independent repetitions.
+    fn with_repetitions(self, repetitions: Vec<f64>) -> Self {
         let mean = mean(&repetitions);
         let coefficient_of_variation = variation_of_mean(&repetitions, mean);
-        let estimate = Self { probability: Some(mean.min(1.0)), coefficient_of_variation, repetitions, ..self };
+        let estimate = Self { probability: Some(mean), coefficient_of_variation, repetitions, ..self };
         Self { interval_95: estimate.interval(0.95), ..estimate }
     }
 
@@ -341,12 +361,7 @@ impl RareEstimate {
                 let RateInterval { lower, upper } = RateInterval::clopper_pearson(failures, runs, confidence);
                 Some([lower, upper])
             }
-            None => {
-                let raw = probability.max(mean(&self.repetitions));
-                let [lower, upper] = lognormal_interval(raw, variation, self.repetitions.len(), confidence)?;
-                // The spread of weights may leave no interval below 1.
-                if lower < 1.0 { Some([lower, upper]) } else { self.independent_interval(confidence) }
-            }
+            None => lognormal_interval(probability, variation, self.repetitions.len(), confidence),
         }
     }
 
@@ -355,7 +370,7 @@ impl RareEstimate {
     fn counted_failures(&self) -> Option<(u64, u64)> {
         let repetitions = self.repetitions.len() as u64;
         let each = self.independent_runs / (1 + repetitions);
-        let is_counted = self.levels.len() == 1 && self.largest_weight.is_none() && each > 0 && repetitions > 0;
+        let is_counted = self.levels.len() == 1 && each > 0 && repetitions > 0;
         is_counted.then(|| {
             let failures = self.repetitions.iter().map(|share| (share * each as f64).round() as u64).sum();
             (failures, each * repetitions)
@@ -381,59 +396,39 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         Self { problem, samples, random, evaluations: 0, counter }
     }
 
-    /// Moves a population down the levels and returns the number of failed initial runs. Calls `on_level` with the
-    /// statistics and the survivors of each level. Moves below the last level need a `last_step`.
-    fn climb(
-        &mut self,
-        stages: &[SplittingStage],
-        last_step: Option<f64>,
-        mut on_level: impl FnMut(LevelStats, &[Particle]),
-    ) -> Result<u64, P::Error> {
+    /// Moves a population down the levels, and returns the number of failed initial runs and the statistics of each
+    /// level that the population reached.
+    fn climb(&mut self, stages: &[SplittingStage]) -> Result<(u64, Vec<LevelStats>), P::Error> {
         let mut population = self.sample_initial()?;
         let failures = count_failures(&population);
+        let mut levels = Vec::with_capacity(stages.len());
         for stage in stages {
             let survivors: Vec<Particle> = population.into_iter().filter(|(_, margin)| stage.passes(*margin)).collect();
             let share = survivors.len() as f64 / self.samples as f64;
             let mut here = LevelStats { share, accepted: 0, proposed: 0 };
             population = self.resample(survivors);
-            let step = if stage.is_last { last_step } else { Some(stage.step) };
-            if let Some(step) = step.filter(|_| !population.is_empty()) {
+            if !stage.is_last && !population.is_empty() {
                 for _ in 0..MOVES_PER_LEVEL {
-                    let (accepted, proposed) = self.mcmc_move(&mut population, &SplittingStage { step, ..*stage })?;
+                    let (accepted, proposed) = self.mcmc_move(&mut population, stage)?;
                     here =
                         LevelStats { accepted: here.accepted + accepted, proposed: here.proposed + proposed, ..here };
                 }
             }
-            on_level(here, &population);
+            levels.push(here);
             if population.is_empty() {
                 break;
             }
         }
-        Ok(failures)
-    }
-
-    /// Returns the populations below all levels, failures last; fewer if a population becomes extinct.
-    pub(super) fn level_populations(&mut self, stages: &[SplittingStage]) -> Result<Vec<Vec<Particle>>, P::Error> {
-        // No step was tuned for the last level: reuse that of the previous level.
-        let last_step = stages.iter().rev().find(|stage| !stage.is_last).map_or(1.0, |before| before.step);
-        let mut all = Vec::with_capacity(stages.len());
-        self.climb(stages, Some(last_step), |_, population| all.push(population.to_vec()))?;
-        Ok(all)
+        Ok((failures, levels))
     }
 
     fn sample_initial(&mut self) -> Result<Vec<Particle>, P::Error> {
-        self.sample_with(|dimension, random| RandomInputs {
+        let dimension = self.problem.dimension();
+        let draw = |random: &mut Stream| RandomInputs {
             normal: (0..dimension).map(|_| StandardNormal.sample(random)).collect(),
             noise_seed: new_noise_seed(random),
-        })
-    }
-
-    pub(super) fn sample_with(
-        &mut self,
-        draw: impl Fn(usize, &mut Stream) -> RandomInputs,
-    ) -> Result<Vec<Particle>, P::Error> {
-        let dimension = self.problem.dimension();
-        let states: Vec<RandomInputs> = (0..self.samples).map(|_| draw(dimension, &mut self.random)).collect();
+        };
+        let states: Vec<RandomInputs> = (0..self.samples).map(|_| draw(&mut self.random)).collect();
         let margins = self.evaluate_margins(&states)?;
         Ok(states.into_iter().zip(margins).collect())
     }
@@ -491,7 +486,7 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
 }
 
 /// Returns a seed that fits the signed integers of scenario files.
-pub(super) fn new_noise_seed(random: &mut Stream) -> u64 {
+fn new_noise_seed(random: &mut Stream) -> u64 {
     random.random::<u64>() >> 1
 }
 
@@ -507,7 +502,7 @@ fn variation_of_mean(values: &[f64], mean: f64) -> Option<f64> {
 }
 
 /// Returns the interval of a log-normal mean: products of many shares are nearly log-normal.
-pub(super) fn lognormal_interval(mean: f64, variation: f64, repetitions: usize, confidence: f64) -> Option<[f64; 2]> {
+fn lognormal_interval(mean: f64, variation: f64, repetitions: usize, confidence: f64) -> Option<[f64; 2]> {
     let student = StudentsT::new(0.0, 1.0, repetitions as f64 - 1.0).ok()?;
     let factor = (student.inverse_cdf(0.5 + 0.5 * confidence) * (variation * variation).ln_1p().sqrt()).exp();
     Some([mean / factor, (mean * factor).min(1.0)])

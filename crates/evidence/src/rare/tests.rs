@@ -36,11 +36,7 @@ fn counter() -> ProgressCounter<'static> {
 }
 
 fn estimate(problem: &ClosedFormLimitState, seed: u64) -> RareEstimate {
-    estimate_by(RareMethod::Splitting, problem, seed)
-}
-
-fn estimate_by(method: RareMethod, problem: &ClosedFormLimitState, seed: u64) -> RareEstimate {
-    let pilot = Pilot::run(problem, method, SplittingConfig::default(), seed, &counter()).unwrap();
+    let pilot = SplittingLevels::run_pilots(problem, SplittingConfig::default(), seed, &counter()).unwrap();
     pilot.estimate(problem, &counter()).unwrap()
 }
 
@@ -69,24 +65,15 @@ fn noisy(state: &RandomInputs) -> f64 {
     4.9 - (0.75_f64.sqrt() * coordinate(state, 0) + 0.5 * noise)
 }
 
-fn corner(state: &RandomInputs) -> f64 {
-    (3.2 - coordinate(state, 0)).max(3.5 - coordinate(state, 1))
-}
-
-fn frequent(state: &RandomInputs) -> f64 {
-    2.326_347_874_040_841 - coordinate(state, 0)
-}
-
 /// Estimates with 24 seeds. Checks the ratios to the truth, their mean, the number of intervals that contain the truth,
 /// and the number of runs.
 fn assert_close(
-    method: RareMethod,
     (name, problem, truth): &(&str, ClosedFormLimitState, f64),
     (within, bias, min_held): (f64, f64, usize),
     max_runs: u64,
 ) {
     const SEEDS: u64 = 24;
-    let found: Vec<RareEstimate> = (0..SEEDS).map(|seed| estimate_by(method, problem, seed)).collect();
+    let found: Vec<RareEstimate> = (0..SEEDS).map(|seed| estimate(problem, seed)).collect();
     let ratios: Vec<f64> = found.iter().map(|one| one.probability.unwrap() / truth).collect();
     let held = found.iter().filter(|one| {
         let [low, high] = one.interval_95.unwrap();
@@ -96,7 +83,7 @@ fn assert_close(
     let most = found.iter().map(|one| one.evaluations).max().unwrap();
     let spread = found.iter().filter_map(|one| one.coefficient_of_variation).fold(0.0, f64::max);
     println!(
-        "{name} by {method:?}: truth {truth:.3e}, mean {mean:.3}, {held} of {SEEDS} held, {most} runs, spread \
+        "{name}: truth {truth:.3e}, mean {mean:.3}, {held} of {SEEDS} held, {most} runs, spread \
          {spread:.3}, ratios {ratios:.2?}"
     );
     assert!(ratios.iter().all(|ratio| (1.0 / within..within).contains(ratio)), "{name}: {ratios:?}");
@@ -124,95 +111,8 @@ fn known_problems() -> [(&'static str, ClosedFormLimitState, f64); 4] {
 fn known_probabilities_below_a_millionth_are_found() {
     for problem in known_problems() {
         assert!(problem.2 < 1e-6);
-        assert_close(RareMethod::Splitting, &problem, (2.0, 0.1, 20), 600_000);
+        assert_close(&problem, (2.0, 0.1, 20), 600_000);
     }
-}
-
-/// Tests that only `.ci/run` runs.
-mod tier_2 {
-    use super::*;
-
-    /// Importance sampling needs a quarter of the runs, with a fifth of the spread; it also handles frequent failures
-    /// and many dimensions. With noise it is no better than splitting: the best distribution that ignores the noise has
-    /// a coefficient of variation of 27 per sample, and intervals contain the truth less often than stated.
-    #[test]
-    #[ignore = "tier 2: 168 estimates"]
-    fn known_probabilities_are_found_by_weighted_draws() {
-        let more = [
-            ("corner", ClosedFormLimitState { dimension: 8, margin: corner }, upper_tail(3.2) * upper_tail(3.5)),
-            ("thirty numbers", ClosedFormLimitState { dimension: 30, margin: linear }, upper_tail(5.0)),
-            ("frequent", ClosedFormLimitState { dimension: 5, margin: frequent }, 0.01),
-        ];
-        for problem in known_problems().into_iter().chain(more) {
-            let tolerances = if problem.0 == "noisy" { (3.0, 0.2, 18) } else { (1.25, 0.03, 20) };
-            assert_close(RareMethod::Importance, &problem, tolerances, 120_000);
-        }
-    }
-
-    /// With noise, intervals of importance sampling contain the truth far less often than stated, mostly without a
-    /// large weight. The command line states these figures with every filtered estimate.
-    #[test]
-    #[ignore = "tier 2: 400 estimates"]
-    fn where_noise_decides_weighted_draws_have_intervals_that_are_too_narrow() {
-        const SEEDS: u64 = 400;
-        let (problem, truth) = (ClosedFormLimitState { dimension: 2, margin: noisy }, upper_tail(4.9));
-        let (mut held, mut light, mut light_held, mut sum) = (0, 0, 0, 0.0);
-        for seed in 0..SEEDS {
-            let found = estimate_by(RareMethod::Importance, &problem, seed);
-            let [low, high] = found.interval_95.unwrap();
-            let (holds, is_light) = ((low..=high).contains(&truth), found.largest_weight.unwrap() <= 0.1);
-            held += u64::from(holds);
-            light += u64::from(is_light);
-            light_held += u64::from(is_light && holds);
-            sum += found.probability.unwrap() / truth;
-        }
-        let mean = sum / SEEDS as f64;
-        println!("{held} of {SEEDS}; of {light} in which no run weighs much {light_held}; mean {mean:.3}");
-        assert!((mean - 1.0).abs() < 0.1, "unbiased all the same: {mean}");
-        assert!((260..320).contains(&held) && 2 * light_held < light, "{held}, {light_held} of {light}");
-    }
-}
-
-#[test]
-fn the_interval_of_weighted_draws_is_never_that_of_a_count() {
-    type Margin = fn(&RandomInputs) -> f64;
-    let problems: [(Margin, f64); 3] = [
-        (|state| 0.5 - coordinate(state, 0), 0.5),
-        (|state| 1.3 - coordinate(state, 0), 1.3),
-        (|state| 1.8 - coordinate(state, 0), 1.8),
-    ];
-    for (margin, at) in problems {
-        let problem = ClosedFormLimitState { dimension: 2, margin };
-        let [weighed, split] = [RareMethod::Importance, RareMethod::Splitting].map(|by| estimate_by(by, &problem, 1));
-        let spread = weighed.coefficient_of_variation.unwrap();
-        let of_spread =
-            splitting::lognormal_interval(weighed.probability.unwrap(), spread, weighed.repetitions.len(), 0.95);
-        assert_eq!((weighed.interval_95, weighed.interval(0.95)), (of_spread, of_spread), "{at}");
-        for found in [weighed, split] {
-            let [low, high] = found.interval_95.unwrap();
-            assert!((low..=high).contains(&upper_tail(at)), "{at}: {low} to {high}, {} levels", found.levels.len());
-        }
-    }
-}
-
-/// Weights of a nearly certain failure may have a mean above 1; the probability is limited.
-#[test]
-fn no_probability_is_above_one() {
-    let nearly_always = |state: &RandomInputs| -3.0 - coordinate(state, 0);
-    let mut above = 0;
-    for seed in 0..12 {
-        let found =
-            estimate_by(RareMethod::Importance, &ClosedFormLimitState { dimension: 3, margin: nearly_always }, seed);
-        let raw = found.repetitions.iter().sum::<f64>() / found.repetitions.len() as f64;
-        above += usize::from(raw > 1.0);
-        assert_eq!(found.probability, Some(raw.min(1.0)));
-        for confidence in [0.5, 0.95] {
-            let [low, high] = found.interval(confidence).unwrap();
-            assert!(0.0 < low && low < high && high <= 1.0, "{low} to {high}, mean {raw}");
-        }
-        assert!(found.levels.iter().all(|level| level.probability <= 1.0 && level.share <= 1.0));
-    }
-    assert!(above > 0);
 }
 
 #[test]
@@ -252,7 +152,7 @@ fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
     for seed in 0..200 {
         let first = SplittingLevels::run_pilot(&problem, effort, seed, 0, &counter()).unwrap();
         again += usize::from(!first.reaches_failure());
-        let pilot = Pilot::run(&problem, RareMethod::Splitting, effort, seed, &counter()).unwrap();
+        let pilot = SplittingLevels::run_pilots(&problem, effort, seed, &counter()).unwrap();
         let estimate = pilot.estimate(&problem, &counter()).unwrap();
         assert_eq!(estimate.independent_runs, 1100);
         found.push(estimate.probability.unwrap() / truth);
@@ -260,14 +160,9 @@ fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
     let mean = found.iter().sum::<f64>() / found.len() as f64;
     println!("{again} went on, mean {mean:.3}");
     assert!(again >= 10 && (mean - 1.0).abs() < 0.15, "{again} went on, mean {mean:.3}");
-    let never = Pilot::run(
-        &ClosedFormLimitState { dimension: 2, margin: |_| 1.0 },
-        RareMethod::Splitting,
-        effort,
-        0,
-        &counter(),
-    )
-    .unwrap();
+    let never =
+        SplittingLevels::run_pilots(&ClosedFormLimitState { dimension: 2, margin: |_| 1.0 }, effort, 0, &counter())
+            .unwrap();
     let nothing = never.estimate(&problem, &counter()).unwrap();
     assert_eq!((nothing.probability, nothing.independent_runs, nothing.evaluations), (None, 700, 700));
 }
@@ -293,7 +188,7 @@ fn splitting_agrees_with_counting_on_the_road() {
     const COUNTED: u64 = 6000;
     let estimator = EstimatorKind::Kalman;
     let effort = SplittingConfig { samples: 200, repetitions: 10 };
-    let plan = RarePlan { estimator, effort, ..rare_plan(RareMethod::Splitting, 5, 10) };
+    let plan = RarePlan { estimator, effort, ..rare_plan(5, 10) };
     let count = RateConfig { seed: 1, ..RateConfig::new(plan.controller.clone(), plan.space.clone(), COUNTED) };
     let counted = count_all(&RatePlan::new(count).unwrap()).failures as f64 / COUNTED as f64;
     let root = tempfile::tempdir().unwrap();

@@ -14,7 +14,6 @@ use super::serde_helpers::{deserialize_f32_no_underflow, is_default};
 use super::source::{PaperSource, ScenarioSource};
 use super::space_mixture::{SpaceMixture, TrainingSpace};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::policy::ResidualControl;
 use crumple_world::scenario::file;
 
 /// Version of the preset format that this release reads.
@@ -83,9 +82,6 @@ pub struct EnvironmentConfig {
     pub time_limit: TimeLimit,
     /// Highest acceleration of an action, in m/s²; the lowest is -7.5.
     pub max_accel_mps2: f64,
-    /// Base controller to which actions are added. Without one, an action is an acceleration of at least -7.5 m/s².
-    #[serde(rename = "departs_from", default, skip_serializing_if = "Option::is_none")]
-    pub residual_over: Option<ResidualControl>,
     /// Costs of a step; none in the paper. A policy file without costs omits the field.
     #[serde(default, skip_serializing_if = "CostConfig::is_free")]
     pub costs: CostConfig,

@@ -4,8 +4,6 @@
 use crumple_world::measure::justified_brake_mps2;
 use serde::{Deserialize, Serialize};
 
-use super::serde_helpers::is_default;
-
 const MAX_WEIGHT: f64 = 100.0;
 
 /// Costs of a step, as a share of its reward. A step without a collision earns `step_reward * (1 - sum of weight *
@@ -20,7 +18,6 @@ const MAX_WEIGHT: f64 = 100.0;
 /// | `jerk` | jerk / 75 m/s³ |
 /// | `imposed` | induced braking: the follower's beyond the leader's / 7.5 m/s² |
 /// | `needless` | unnecessary braking: more than 1 m/s² beyond [`justified_brake_mps2`] / 7.5 m/s² |
-/// | `departure` | size of the residual action, in `[0, 1]` |
 ///
 /// The wanted gap is `standstill_m + headway_s * speed`. Terms about an absent vehicle are 0.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -48,9 +45,6 @@ pub struct CostConfig {
     /// Weight of unnecessary braking.
     #[serde(rename = "needless")]
     pub unnecessary_braking: f64,
-    /// Weight of the residual action.
-    #[serde(rename = "departure", skip_serializing_if = "is_default")]
-    pub residual: f64,
 }
 
 impl Default for CostConfig {
@@ -65,13 +59,12 @@ impl Default for CostConfig {
             jerk: 0.0,
             induced_braking: 0.0,
             unnecessary_braking: 0.0,
-            residual: 0.0,
         }
     }
 }
 
 impl CostConfig {
-    fn weights_mut(&mut self) -> [(&'static str, &mut f64); 8] {
+    fn weights_mut(&mut self) -> [(&'static str, &mut f64); 7] {
         [
             ("far", &mut self.far),
             ("near", &mut self.near),
@@ -80,11 +73,10 @@ impl CostConfig {
             ("jerk", &mut self.jerk),
             ("imposed", &mut self.induced_braking),
             ("needless", &mut self.unnecessary_braking),
-            ("departure", &mut self.residual),
         ]
     }
 
-    fn weights(&self) -> [(&'static str, f64); 8] {
+    fn weights(&self) -> [(&'static str, f64); 7] {
         self.clone().weights_mut().map(|(name, weight)| (name, *weight))
     }
 

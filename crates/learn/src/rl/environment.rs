@@ -1,15 +1,13 @@
 //! Simulation of the paper's Markov decision process (section "Markov decision process").
 
-use std::cell::Cell;
 use std::ops::ControlFlow;
 use std::sync::Arc;
 
 use super::config::{EnvironmentConfig, TimeLimit};
 use super::reward::RewardTracker;
 use super::source::{EGO, ScenarioSource};
-use crumple_world::observation::{EstimatorKind, Observation};
+use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::{ActionBounds, FrameStack, HeldAction, ObservationScaling};
-use crumple_world::scenario::PAPER_STEP_S;
 use crumple_world::sim::{Motion, Run, StepView, Stepper};
 
 /// Time for which all vehicles must have stood before an episode ends at rest, in seconds. It spans several decisions.
@@ -159,18 +157,9 @@ impl TrainingEpisode {
         let mut expert_action = None;
         let EpisodeConstants { environment: config, action_bounds: bounds, .. } = &**constants;
         let (mut reward, mut of_last_step, mut ending) = (0.0, 0.0, EpisodeEnding::None);
-        let residual = Cell::new(0.0);
-        let mut acceleration_mps2 = None;
-        let mut command = |seen: &Observation| match acceleration_mps2 {
-            Some(held_mps2) if bounds.residual_over.is_none() => held_mps2,
-            _ => {
-                let wanted_mps2 = held_action.acceleration_mps2(bounds, seen, PAPER_STEP_S);
-                residual.set(held_action.residual());
-                *acceleration_mps2.insert(wanted_mps2)
-            }
-        };
+        let acceleration_mps2 = held_action.acceleration_mps2(bounds);
         let mut after = |now: &StepView<'_>| {
-            of_last_step = reward_tracker.step_reward(now, config, residual.get());
+            of_last_step = reward_tracker.step_reward(now, config);
             reward += of_last_step;
             let at_rest = now.motion.iter().all(|motion| motion.speed_mps == 0.0);
             *steps_at_rest = if at_rest { *steps_at_rest + 1 } else { 0 };
@@ -187,9 +176,11 @@ impl TrainingEpisode {
         };
         if stepper.consulted_mps2(EGO).is_some() {
             for _ in 0..config.action_repeat {
-                let Some(seen) = stepper.observe(EGO) else { break };
+                if stepper.observe(EGO).is_none() {
+                    break;
+                }
                 if is_commanded {
-                    stepper.command(EGO, command(&seen));
+                    stepper.command(EGO, acceleration_mps2);
                 }
                 stepper.step();
                 let answer_mps2 = stepper.consulted_mps2(EGO);
@@ -202,7 +193,7 @@ impl TrainingEpisode {
                 held_action.set_last_answer_mps2(last_mps2);
             }
         } else {
-            stepper.drive(EGO, config.action_repeat as usize, command, after);
+            stepper.drive(EGO, config.action_repeat as usize, |_| acceleration_mps2, after);
         }
         self.undiscounted_return += reward;
         let mut to_learn = reward;
@@ -252,11 +243,7 @@ impl TrainingEpisode {
 /// Returns the range of accelerations of the actions.
 #[must_use]
 pub fn action_bounds(config: &EnvironmentConfig) -> ActionBounds {
-    ActionBounds {
-        high_mps2: config.max_accel_mps2,
-        residual_over: config.residual_over.clone(),
-        ..ActionBounds::default()
-    }
+    ActionBounds { high_mps2: config.max_accel_mps2, ..ActionBounds::default() }
 }
 
 #[cfg(test)]

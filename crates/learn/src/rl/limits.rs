@@ -3,7 +3,6 @@
 use super::config::{PENALTY_RANGE, TRAINING_VERSION, TrainingConfig};
 use super::config_error::{TrainingConfigError, check_range};
 use super::space_mixture;
-use crumple_world::policy::ResidualControl;
 
 const MAX_LAYERS: usize = 16;
 
@@ -50,10 +49,6 @@ impl TrainingConfig {
         let mut terms = self.environment.costs.ranges().chain(self.environment.observation.ranges());
         terms.try_for_each(|(field, value, range)| check_range(&field, value, range))?;
         self.environment.observation.check()?;
-        let mut residual = self.environment.residual_over.iter().flat_map(ResidualControl::parameters);
-        residual.try_for_each(|(name, value, range)| {
-            check_range(&format!("environment.departs_from.{name}"), value, range)
-        })?;
         let layers = self.network.hidden.len();
         if !(1..=MAX_LAYERS).contains(&layers) {
             let problem = format!("must have 1 to {MAX_LAYERS} layers, found {layers}");
@@ -64,10 +59,6 @@ impl TrainingConfig {
         }
         if let Some(imitation) = &self.imitation {
             imitation.check()?;
-            if self.environment.residual_over.is_some() {
-                let problem = "an expert's answer is no action of a residual policy: remove environment.departs_from";
-                return Err(TrainingConfigError::field("imitation", problem));
-            }
         }
         check_range("network.final_layer_bound", f64::from(self.network.final_layer_bound), [0.0, 1.0])?;
         check_range("learning.actor_rate", f64::from(self.learning.actor_rate), [0.0, 1.0])?;

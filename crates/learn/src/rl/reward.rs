@@ -18,7 +18,7 @@ const UNNECESSARY_BRAKING_MARGIN_MPS2: f64 = 1.0;
 
 impl CostConfig {
     /// Returns the cost as a share of the step's reward. `before_mps2` is the ego vehicle's last acceleration.
-    fn step_cost(&self, now: &StepView<'_>, before_mps2: f64, step_s: f64, residual: f64) -> f64 {
+    fn step_cost(&self, now: &StepView<'_>, before_mps2: f64, step_s: f64) -> f64 {
         let motion = now.motion;
         let ([Some(front), Some(ego)], Some(gap_m)) = ([EGO - 1, EGO].map(|vehicle| motion.get(vehicle)), now.gap_m)
         else {
@@ -46,7 +46,6 @@ impl CostConfig {
             + self.unnecessary_braking
                 * (brake_mps2 - justified_brake_mps2(&state) - UNNECESSARY_BRAKING_MARGIN_MPS2).max(0.0)
                 / FULL_BRAKE_MPS2
-            + self.residual * residual
     }
 }
 
@@ -62,14 +61,14 @@ impl RewardTracker {
     }
 
     #[inline]
-    pub(super) fn step_reward(&mut self, now: &StepView<'_>, config: &EnvironmentConfig, residual: f64) -> f64 {
+    pub(super) fn step_reward(&mut self, now: &StepView<'_>, config: &EnvironmentConfig) -> f64 {
         if now.has_collided {
             return config.contact_reward;
         }
         if self.is_free {
             return config.step_reward;
         }
-        let cost = config.costs.step_cost(now, self.previous_accel_mps2, self.step_s, residual);
+        let cost = config.costs.step_cost(now, self.previous_accel_mps2, self.step_s);
         self.previous_accel_mps2 = ego_accel_mps2(now.motion);
         config.step_reward * (1.0 - cost)
     }
@@ -98,7 +97,7 @@ mod tests {
         let mut reward_tracker = RewardTracker::new(&stepper, 0.01, &config.costs);
         let mut earned = 0.0;
         let after = |now: &StepView<'_>| {
-            earned = reward_tracker.step_reward(now, &config, 0.25);
+            earned = reward_tracker.step_reward(now, &config);
             ControlFlow::Break(())
         };
         stepper.drive(EGO, 1, |_| -4.0, after);
@@ -121,6 +120,5 @@ mod tests {
         // The reference driver wants 42 m, so it brakes at 0.73 (42 / 16)² m/s², which exceeds 4 m/s².
         costs(CostConfig { unnecessary_braking: 1.0, ..none() }, 0.0);
         costs(CostConfig { induced_braking: 1.0, ..none() }, 0.0);
-        costs(CostConfig { residual: 2.0, ..none() }, 0.5);
     }
 }

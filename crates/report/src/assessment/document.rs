@@ -3,7 +3,7 @@
 use maud::{Markup, PreEscaped, Render, html};
 
 use super::CrumpleCommand;
-use super::markdown::{Inline, Markdown};
+use super::markdown::Markdown;
 use super::prose::prose_to_html;
 use super::table::ReportTable;
 
@@ -35,25 +35,6 @@ impl ReportDocument {
     pub(super) fn list(&mut self, lines: &[String]) {
         self.push_html(html! { ul { @for line in lines { li { (prose_to_html(line)) } } } });
         self.markdown.list(lines.iter().map(String::as_str));
-    }
-
-    /// Writes a nested list, each entry with its depth.
-    pub(super) fn outline(&mut self, entries: Vec<(usize, Inline, Markup)>) {
-        let mut open = 0;
-        for (depth, _, entry) in &entries {
-            if open > *depth {
-                self.html += &"</li></ul>".repeat(open - depth - 1);
-                self.html += "</li>";
-                open = depth + 1;
-            } else {
-                self.html += "<ul>";
-                open += 1;
-            }
-            self.html += "<li>";
-            self.push_html(entry);
-        }
-        self.html += &"</li></ul>".repeat(open);
-        self.markdown.outline(entries.into_iter().map(|(depth, entry, _)| (depth, entry)));
     }
 
     /// Writes content that only HTML shows, such as a figure.

@@ -40,16 +40,16 @@ pub use config::{AssessConfig, AssessConfigError, CONFIG_VERSION, RatesConfig, S
 pub use document::ReportDocument;
 pub use gate::{AssessmentGate, GateResult};
 pub use parts::{
-    Argument, AssessmentChange, AssessmentComparison, AssessmentLimits, AssessmentProvenance, BRAKING_MPS2,
-    BrakingTimes, CertificateStatus, CertificateSubject, CheckedCertificate, ClaimRow, ClaimSummary, ComparisonError,
-    ControllerSample, ControllerUsefulness, DistinctFailure, EXAMPLE_MPS, EarlierAssessment, EscapeFile, FailureMap,
-    FailureMapAxis, FailureMaps, FailureSearch, FailureSearches, FileScenarios, FirstPage, FixedParameter, Glossary,
-    GsnElement, GsnElementKind, KernelGap, LearnedPolicies, LearnedPolicy, LimitingAssumption, MAX_EVIDENCE_BYTES,
-    MapCell, MapRow, MethodResult, MildestAttack, NameExplanation, PairedCounts, PaperScenarios, ParameterDescription,
-    PercentInterval, Proofs, RunInfo, SafetyAnswer, ScenarioCases, SpaceDescription, SpaceDescriptions, SpaceSample,
-    SpaceSamples, SpaceSearches, SpaceSpecificationSearches, SpecificationSearch, SpecificationSearches,
-    SpecificationViolation, StringStabilityVerdict, SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites,
-    UnknownCell, UsefulnessReport, WorstProfile, WorstProfiles,
+    Argument, AssessmentChange, AssessmentComparison, AssessmentLimits, AssessmentProvenance, CertificateStatus,
+    CertificateSubject, CheckedCertificate, ClaimRow, ClaimSummary, ComparisonError, ControllerSample,
+    ControllerUsefulness, DistinctFailure, EXAMPLE_MPS, EarlierAssessment, EscapeFile, FailureMap, FailureMapAxis,
+    FailureMaps, FailureSearch, FailureSearches, FileScenarios, FirstPage, FixedParameter, Glossary, GsnElement,
+    GsnElementKind, KernelGap, LimitingAssumption, MAX_EVIDENCE_BYTES, MapCell, MapRow, MethodResult, MildestAttack,
+    NameExplanation, PairedCounts, PaperScenarios, ParameterDescription, PercentInterval, Proofs, RunInfo,
+    SafetyAnswer, ScenarioCases, SpaceDescription, SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches,
+    SpaceSpecificationSearches, SpecificationSearch, SpecificationSearches, SpecificationViolation,
+    StringStabilityVerdict, SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites, UnknownCell,
+    UsefulnessReport, WorstProfile, WorstProfiles,
 };
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
@@ -107,14 +107,13 @@ pub struct AssessmentReport {
     pub usefulness: Option<UsefulnessReport>,
     /// Proved claims.
     pub proofs: Proofs,
-    /// Behaviour of the learned policies; absent if no controller is learned.
-    pub learned: Option<LearnedPolicies>,
     /// Statistics of the scenario spaces.
     #[serde(rename = "domains")]
     pub space_descriptions: SpaceDescriptions,
     /// Limits of the assessment.
     pub limits: AssessmentLimits,
-    /// Safety case: the verdict as a goal structure.
+    /// Safety case: the verdict as a goal structure, in `assessment.gsn.yaml`.
+    #[serde(skip)]
     pub argument: Argument,
     /// Changes since an earlier assessment; absent if there is none to compare with.
     pub comparison: Option<AssessmentComparison>,
@@ -251,7 +250,6 @@ pub fn assess(
     let argument = Argument::new(plan, &summary, &limits);
     let mut assessment = AssessmentReport {
         version: EVIDENCE_VERSION,
-        learned: paper_scenarios.as_ref().and_then(|paper| LearnedPolicies::new(plan, paper)),
         provenance: AssessmentProvenance::new(plan, cache),
         comparison: None,
         space_descriptions: SpaceDescriptions::new(plan, usefulness.as_ref()),
@@ -327,10 +325,9 @@ impl AssessmentReport {
     /// Returns the parts of the appendix.
     #[must_use]
     pub fn appendix(&self) -> Vec<&dyn ReportPart> {
-        let mut parts: Vec<&dyn ReportPart> = vec![&self.argument];
+        let mut parts: Vec<&dyn ReportPart> = Vec::new();
         parts.extend(self.worst_profiles.as_ref().map(|worst| worst as &dyn ReportPart));
         parts.extend(self.failure_maps.as_ref().map(|maps| maps as &dyn ReportPart));
-        parts.extend(self.learned.as_ref().map(|learned| learned as &dyn ReportPart));
         parts.extend([&self.space_descriptions as &dyn ReportPart, &Glossary, &self.provenance]);
         parts
     }

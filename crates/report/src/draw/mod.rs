@@ -35,7 +35,6 @@ pub use label::{PixelRect, text_width};
 pub use motion::{MotionFigure, PanelArrangement, draw_motion, draw_motion_on_axes, draw_motion_responsive};
 pub(crate) use motion::{draw_motion_columns, draw_motions_side_by_side};
 pub use motion_axes::MotionAxes;
-pub(crate) use panel::TaggedLine;
 pub use panel::{Anchor, HEADING_HEIGHT, Marker, Panel, draw_marker, draw_text};
 pub(crate) use path::PixelPoint;
 #[cfg(feature = "png")]

@@ -145,11 +145,6 @@ impl Panel {
         self.overlays.push(draw_text(base, anchor, text, SMALL_TEXT_SIZE, ink, true));
     }
 
-    /// Adds content in pixels to the data, clipped at the frame.
-    pub(crate) fn add_clipped(&mut self, content: Markup) {
-        self.clipped.push(content);
-    }
-
     /// Adds content in pixels, above the data.
     pub fn add_overlay(&mut self, content: Markup) {
         self.overlays.push(content);

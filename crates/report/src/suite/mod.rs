@@ -1,9 +1,7 @@
-//! Results of suites as text, as a page and as JUnit; crash maps as figures.
+//! Results of suites as text, as a page and as JUnit.
 
 mod description;
 mod junit;
-mod map;
-mod map_figure;
 mod page;
 mod table;
 
@@ -17,8 +15,6 @@ pub(crate) use description::{
     describe_min_margins, describe_preventability, describe_verdict, describe_worst_in_tolerance,
 };
 pub use junit::render_junit;
-pub use map::{render_map_html, render_map_text};
-pub use map_figure::draw_map;
 pub use page::render_html;
 pub use table::render_markdown_table;
 

@@ -8,9 +8,8 @@ use super::certificate;
 use super::closed_loop::{self, SearchEffort};
 use super::escape::{Escape, step_accelerations_mps2};
 use super::firing_search::FiringSearch;
-use super::program::{EscapeObjective, Grid};
+use super::program::Grid;
 use super::reason::UndecidedReason;
-use super::scenario_box::ScenarioBox;
 use crumple_world::scenario::{MAX_MULTIPLE, Scenario, whole_multiple};
 
 /// Options of the search for an escape.
@@ -19,46 +18,10 @@ pub struct AvoidOptions {
     /// Time over which the accelerations of an escape are held, in seconds: a multiple of the scenario's step. If it is
     /// too coarse to decide, the step itself is used. `None` means about a tenth of a second.
     pub grid_s: Option<f64>,
-    /// Kind of the escape to return.
-    pub escape: EscapeKind,
     /// True to certify, for an avoidable collision, an upper bound of the smallest gap of any profile.
     pub certify_bound: bool,
     /// Extent of the simulations if the convex programs do not model every driver.
     pub effort: SearchEffort,
-}
-
-/// Choice among all escapes.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
-#[non_exhaustive]
-pub enum EscapeKind {
-    /// Escape whose smallest gap is the largest on the grid.
-    #[default]
-    LargestGap,
-    /// Escape with the least ∫ a², subject to two limits. Its smallest gap is at least half that of
-    /// [`Self::LargestGap`], and the follower's brake fires no later than there.
-    Gentlest,
-    /// Escape with the least sum of squared changes of acceleration, with the limits of [`Self::Gentlest`].
-    LeastJerk,
-}
-
-impl EscapeKind {
-    /// Describes the optimality of the escape.
-    #[must_use]
-    pub fn optimality_description(self) -> &'static str {
-        match self {
-            Self::LargestGap => {
-                "the largest smallest gap found on this grid, over all trigger times of the follower's emergency brake"
-            }
-            Self::Gentlest => {
-                "the smallest ∫a² with at least half of the largest gap, for one trigger time of the follower's \
-                 emergency brake"
-            }
-            Self::LeastJerk => {
-                "the smallest change of acceleration with at least half of the largest gap, for one trigger time of \
-                 the follower's emergency brake"
-            }
-        }
-    }
 }
 
 /// An error of invalid options.
@@ -115,34 +78,23 @@ const MAX_OPEN_FIRINGS: usize = 8;
 /// assert!(matches!(found.verdict, AvoidanceVerdict::Avoidable(escape) if escape.min_gap_m > 8.0));
 /// ```
 pub fn avoid(scenario: &Scenario, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
-    avoid_box(&ScenarioBox::point(scenario), options)
-}
-
-/// Decides whether collisions are avoidable in a box of scenarios: avoidable if one escape fits all of them,
-/// unavoidable if none has an escape.
-///
-/// # Errors
-/// [`AvoidError`] if the options do not fit the scenario.
-pub fn avoid_box(family: &ScenarioBox, options: AvoidOptions) -> Result<Avoidance, AvoidError> {
-    let ProgramResult { avoidance: mut found, profile_mps2, bound_m, is_modelled } = solve_programs(family, options)?;
+    let ProgramResult { avoidance: mut found, profile_mps2, bound_m, is_modelled } = solve_programs(scenario, options)?;
     let is_open = match &found.verdict {
         AvoidanceVerdict::Avoidable(_) => !is_modelled && options.effort == SearchEffort::Optimise,
         AvoidanceVerdict::Undecided(reason) => reason.is_not_modelled(),
         AvoidanceVerdict::Unavoidable(_) => false,
     };
-    if is_open && family.is_point() {
-        let (cells, first) = control_grids(family.centre(), options)?;
+    if is_open {
+        let (cells, first) = control_grids(scenario, options)?;
         let cell = cells.get(first).copied().unwrap_or(1);
-        let escape = closed_loop::largest_gap(family.centre(), cell, profile_mps2.as_deref(), bound_m, options.effort);
+        let escape = closed_loop::largest_gap(scenario, cell, profile_mps2.as_deref(), bound_m, options.effort);
         let before_m = found.best_min_gap_m.unwrap_or(0.0);
         if let Some(mut escape) = escape {
             found.best_min_gap_m = Some(escape.min_gap_m.max(before_m));
-            if let AvoidanceVerdict::Avoidable(program) = found.verdict {
-                if options.escape != EscapeKind::LargestGap && 2.0 * program.min_gap_m >= escape.min_gap_m {
-                    escape = *program;
-                } else if program.min_gap_m >= escape.min_gap_m {
-                    escape = Escape { found_by: escape.found_by, ..*program };
-                }
+            if let AvoidanceVerdict::Avoidable(program) = found.verdict
+                && program.min_gap_m >= escape.min_gap_m
+            {
+                escape = Escape { found_by: escape.found_by, ..*program };
             }
             found.verdict = AvoidanceVerdict::Avoidable(Box::new(escape));
         }
@@ -150,18 +102,18 @@ pub fn avoid_box(family: &ScenarioBox, options: AvoidOptions) -> Result<Avoidanc
     if found.verdict.escape().is_none() {
         found.bound_certificate = None;
     }
-    found.optimality = optimality(family, &found);
+    found.optimality = optimality(scenario, &found);
     Ok(found)
 }
 
 /// Gaps that differ by less are equal, in metres.
 const GAP_TOLERANCE_M: f64 = 0.01;
 
-fn optimality(family: &ScenarioBox, found: &Avoidance) -> Optimality {
+fn optimality(scenario: &Scenario, found: &Avoidance) -> Optimality {
     let reaches = |limit_m: f64| found.best_min_gap_m.is_some_and(|best_m| best_m >= limit_m - GAP_TOLERANCE_M);
     if found.min_gap_bound_m.is_some_and(reaches) {
         Optimality::Bound
-    } else if family.is_point() && reaches(closed_loop::initial_gap_m(family.centre())) {
+    } else if reaches(closed_loop::initial_gap_m(scenario)) {
         Optimality::InitialGap
     } else {
         Optimality::BestFound
@@ -177,10 +129,10 @@ struct ProgramResult {
     is_modelled: bool,
 }
 
-fn solve_programs(family: &ScenarioBox, options: AvoidOptions) -> Result<ProgramResult, AvoidError> {
-    let (cells, first) = control_grids(family.centre(), options)?;
-    check_size(family.centre())?;
-    let problem = match AvoidanceProblem::new(family) {
+fn solve_programs(scenario: &Scenario, options: AvoidOptions) -> Result<ProgramResult, AvoidError> {
+    let (cells, first) = control_grids(scenario, options)?;
+    check_size(scenario)?;
+    let problem = match AvoidanceProblem::new(scenario) {
         Ok(problem) => problem,
         Err(reason) => {
             let avoidance = Avoidance {
@@ -195,7 +147,7 @@ fn solve_programs(family: &ScenarioBox, options: AvoidOptions) -> Result<Program
         }
     };
     let mut search = FiringSearch::new(&problem);
-    let avoidance = explore_grids(family, &problem, &mut search, options, &cells, first);
+    let avoidance = explore_grids(scenario, &problem, &mut search, options, &cells, first);
     Ok(ProgramResult {
         // Noise may carry a vehicle beyond a bound that was computed without it.
         bound_m: if problem.proof_caveat.is_none() { search.bound_m() } else { f64::INFINITY },
@@ -206,7 +158,7 @@ fn solve_programs(family: &ScenarioBox, options: AvoidOptions) -> Result<Program
 }
 
 fn explore_grids(
-    family: &ScenarioBox,
+    scenario: &Scenario,
     problem: &AvoidanceProblem,
     search: &mut FiringSearch<'_>,
     options: AvoidOptions,
@@ -222,14 +174,14 @@ fn explore_grids(
         if index < first && search.bound_m() >= 0.0 {
             continue;
         }
-        undecided = match conclude(family, problem, search, options.escape) {
-            Ok(conclusion) => return build_avoidance(family, problem, search, options, conclusion),
+        undecided = match conclude(scenario, problem, search) {
+            Ok(conclusion) => return build_avoidance(scenario, problem, search, options, conclusion),
             Err(reason) => Some(reason),
         };
     }
     let (low_m, high_m) = (search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m), search.bound_m());
     let reason = undecided.unwrap_or(UndecidedReason::TooClose { low_m, high_m });
-    build_avoidance(family, problem, search, options, (AvoidanceVerdict::Undecided(reason), None))
+    build_avoidance(scenario, problem, search, options, (AvoidanceVerdict::Undecided(reason), None))
 }
 
 fn check_size(scenario: &Scenario) -> Result<(), AvoidError> {
@@ -245,7 +197,7 @@ fn check_size(scenario: &Scenario) -> Result<(), AvoidError> {
 type Conclusion = (AvoidanceVerdict, Option<f64>);
 
 fn build_avoidance(
-    family: &ScenarioBox,
+    scenario: &Scenario,
     problem: &AvoidanceProblem,
     search: &FiringSearch<'_>,
     options: AvoidOptions,
@@ -261,7 +213,7 @@ fn build_avoidance(
     };
     let is_wanted = options.certify_bound && may_escape && problem.proof_caveat.is_none();
     let certified =
-        computed_m.filter(|_| is_wanted).and_then(|bound_m| certify_bound(family, problem, search, bound_m));
+        computed_m.filter(|_| is_wanted).and_then(|bound_m| certify_bound(scenario, problem, search, bound_m));
     let (certified_m, bound_certificate) = certified.unzip();
     Avoidance {
         verdict,
@@ -279,12 +231,12 @@ const CERTIFICATE_SLACK_M: f64 = 1e-4;
 
 /// Returns a bound that the checker accepts, and its certificate.
 fn certify_bound(
-    family: &ScenarioBox,
+    scenario: &Scenario,
     problem: &AvoidanceProblem,
     search: &FiringSearch<'_>,
     computed_m: f64,
 ) -> Option<(f64, Box<Certificate>)> {
-    let build = |gap_m| certificate::gap_bound(family.centre(), problem, search, gap_m).ok()?;
+    let build = |gap_m| certificate::gap_bound(scenario, problem, search, gap_m).ok()?;
     let mut certificate = build(computed_m + CERTIFICATE_SLACK_M)?;
     let Ok(ProvedClaim::GapBound { gap_m, .. }) = crumple_verify::check(&certificate) else { return None };
     if let Statement::GapBound(claim) = &mut certificate.statement {
@@ -311,34 +263,18 @@ fn control_grids(scenario: &Scenario, options: AvoidOptions) -> Result<(Vec<usiz
 
 /// Returns the verdict of the search so far, or the reason why there is none yet.
 fn conclude(
-    family: &ScenarioBox,
+    scenario: &Scenario,
     problem: &AvoidanceProblem,
     search: &FiringSearch<'_>,
-    kind: EscapeKind,
 ) -> Result<Conclusion, UndecidedReason> {
     let best_m = search.best.as_ref().map_or(f64::NEG_INFINITY, |best| best.gap_m);
     if let Some(best) = search.best.as_ref().filter(|best| best.gap_m > 0.0) {
         if let Some(UndecidedReason::EgoResponse { vehicle }) = problem.escape_caveat {
             return Err(UndecidedReason::EgoResponse { vehicle });
         }
-        let smoothed = match kind {
-            EscapeKind::LargestGap => None,
-            EscapeKind::Gentlest => search.smooth(best, EscapeObjective::GentlestEscape),
-            EscapeKind::LeastJerk => search.smooth(best, EscapeObjective::LeastJerk),
-        };
-        let replay = |profile| Escape::replay(family.centre(), problem, profile);
-        let largest = replay(best);
-        let mut best_min_gap_m = largest.as_ref().map(|escape| escape.min_gap_m);
-        let escape = smoothed.as_ref().and_then(replay).or(largest);
-        let mut escape = escape.ok_or_else(|| problem.escape_caveat.clone().unwrap_or(UndecidedReason::Replay))?;
-        if !family.is_point()
-            && let Statement::Avoidable(certified) = certify(family, &escape)?.statement
-            && let Some(least_m) = certified.min_gap_m_at_least
-        {
-            // The replay covers one member; this gap holds for all.
-            escape.min_gap_m = least_m;
-            best_min_gap_m = Some(least_m);
-        }
+        let escape = Escape::replay(scenario, problem, best)
+            .ok_or_else(|| problem.escape_caveat.clone().unwrap_or(UndecidedReason::Replay))?;
+        let best_min_gap_m = Some(escape.min_gap_m);
         return Ok((AvoidanceVerdict::Avoidable(Box::new(escape)), best_min_gap_m));
     }
     let high_m = search.bound_m();
@@ -355,7 +291,7 @@ fn conclude(
     if let Some(reason) = &problem.proof_caveat {
         return Err(reason.clone());
     }
-    let proof = certificate::unavoidable(family.centre(), problem, search)?;
+    let proof = certificate::unavoidable(scenario, problem, search)?;
     let proof = proof.ok_or(UndecidedReason::TooClose { low_m: best_m, high_m })?;
     match crumple_verify::check(&proof) {
         Ok(_) => Ok((AvoidanceVerdict::Unavoidable(Box::new(proof)), None)),
@@ -363,17 +299,17 @@ fn conclude(
     }
 }
 
-/// Certifies that an escape avoids the collision in every scenario of a box. States the smallest gap that the checker
+/// Certifies that an escape avoids the collision. States the smallest gap that the checker
 /// confirms.
 ///
 /// # Errors
 /// [`UndecidedReason`] if there is no certificate.
-pub fn certify(family: &ScenarioBox, escape: &Escape) -> Result<Certificate, UndecidedReason> {
-    let problem = AvoidanceProblem::new(family)?;
+pub fn certify(scenario: &Scenario, escape: &Escape) -> Result<Certificate, UndecidedReason> {
+    let problem = AvoidanceProblem::new(scenario)?;
     if let Some(reason) = problem.escape_caveat.clone().or_else(|| problem.proof_caveat.clone()) {
         return Err(reason);
     }
-    let build = |least_m| certificate::avoidable(family.centre(), &problem, &escape.acceleration_mps2, least_m);
+    let build = |least_m| certificate::avoidable(scenario, &problem, &escape.acceleration_mps2, least_m);
     let rejected = |rejection: crumple_verify::Rejection| UndecidedReason::Rejected { why: rejection.to_string() };
     let least_m = match crumple_verify::check(&build(None)?).map_err(rejected)? {
         ProvedClaim::Avoidable { min_gap_m: smallest_gap_m, .. } => Some(smallest_gap_m),

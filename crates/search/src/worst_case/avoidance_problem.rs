@@ -1,35 +1,15 @@
-//! Model of a scenario (or of a box of scenarios) for the convex programs.
+//! Model of a scenario for the convex programs.
 //!
 //! All quantities are displacements from coasting: with d(t) = ∫∫a and w(t) = ∫a, an ego that starts at x₀ with v₀ has
-//! position x₀ + v₀ t + d and speed v₀ + w. Each condition of an escape is a row of a program: a linear expression in d
-//! and w is at most a constant, the *slack*. Over a box the slack has an upper bound, for proofs
-//! ([`BoundSide::Upper`]), and a lower bound, for escapes ([`BoundSide::Lower`]).
+//! position x₀ + v₀ t + d and speed v₀ + w. The rest of each row is a constant, the *slack*.
 
 use crumple_verify::claim::MAX_EGOS;
 use crumple_verify::{Interval, SceneEgo, SceneFollower};
 
 use super::reason::UndecidedReason;
-use super::scenario_box::{ScenarioBox, ScenarioRanges};
-use super::scripted_leader::{ScriptedLeader, interval_hull};
+use super::scripted_leader::ScriptedLeader;
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, Scenario, VehicleSpec};
-
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(super) enum BoundSide {
-    /// Upper bound over all scenarios of the box, for proofs.
-    Upper,
-    /// Lower bound over all scenarios of the box, for escapes.
-    Lower,
-}
-
-impl BoundSide {
-    fn select(self, low: f64, high: f64) -> f64 {
-        match self {
-            Self::Upper => high,
-            Self::Lower => low,
-        }
-    }
-}
 
 /// A leader, one or more egos, perhaps a follower, and a time grid.
 #[derive(Debug, Clone)]
@@ -42,41 +22,27 @@ pub(super) struct AvoidanceProblem {
     pub(super) dead_steps: Vec<usize>,
     /// Vehicle behind the egos with a latched emergency brake, as in a certificate.
     pub(super) follower: Option<SceneFollower>,
-    /// True if the problem covers more than one scenario.
-    pub(super) is_box: bool,
-    pub(super) ranges: Option<ScenarioRanges>,
-    /// Reason why an escape of the model may collide in the simulation, for example an unmodelled follower. A replay
-    /// decides if it can.
+    /// Reason why an escape of the model may not be one; a replay decides if possible.
     pub(super) escape_caveat: Option<UndecidedReason>,
     /// Reason why a proof would not apply to this scenario.
     pub(super) proof_caveat: Option<UndecidedReason>,
 }
 
 impl AvoidanceProblem {
-    /// Models a scenario or a box.
+    /// Models a scenario.
     ///
     /// # Errors
     /// [`UndecidedReason`] if neither verdict can be reached.
-    pub(super) fn new(family: &ScenarioBox) -> Result<Self, UndecidedReason> {
-        let [low, high] = family.ends();
-        let vehicles = low.vehicles();
-        let last_ego = last_ego(low)?;
-        if !family.is_point()
-            && let Some(vehicle) = vehicles.iter().position(|v| v.acceleration_noise_mps2 > 0.0)
-        {
-            return Err(UndecidedReason::Noise { vehicle });
-        }
-        let spans = |of: fn(&VehicleSpec) -> f64, index: usize| {
-            let of = |scenario: &Scenario| scenario.vehicles().get(index).map_or(0.0, of);
-            interval_hull(of(low), of(high))
-        };
+    pub(super) fn new(scenario: &Scenario) -> Result<Self, UndecidedReason> {
+        let vehicles = scenario.vehicles();
+        let last_ego = last_ego(scenario)?;
         let ego = |index: usize| {
             let vehicle = &vehicles[index];
             SceneEgo {
-                position_m: spans(|v| v.position_m, index),
-                speed_mps: spans(|v| v.speed_mps, index),
+                position_m: Interval::point(vehicle.position_m),
+                speed_mps: Interval::point(vehicle.speed_mps),
                 length_m: vehicle.length_m(),
-                max_brake_mps2: low.usable_brake_mps2(index),
+                max_brake_mps2: scenario.usable_brake_mps2(index),
                 max_accel_mps2: vehicle.max_accel_mps2(),
             }
         };
@@ -99,11 +65,11 @@ impl AvoidanceProblem {
                         proof_caveat.get_or_insert(UndecidedReason::Noise { vehicle: behind });
                     }
                     follower = Some(SceneFollower {
-                        position_m: spans(|v| v.position_m, behind),
-                        speed_mps: spans(|v| v.speed_mps, behind),
-                        brake_mps2: interval_hull(low.usable_brake_mps2(behind), high.usable_brake_mps2(behind)),
+                        position_m: Interval::point(vehicle.position_m),
+                        speed_mps: Interval::point(vehicle.speed_mps),
+                        brake_mps2: Interval::point(scenario.usable_brake_mps2(behind)),
                         ttc_s: aeb.ttc_s,
-                        reaction_steps: u32::try_from(delay_steps(low, vehicle)).unwrap_or(u32::MAX),
+                        reaction_steps: u32::try_from(delay_steps(scenario, vehicle)).unwrap_or(u32::MAX),
                     });
                 }
                 // A proof remains possible: a collision ahead of this vehicle does not depend on its behaviour.
@@ -116,14 +82,12 @@ impl AvoidanceProblem {
             }
         }
         Ok(Self {
-            step_s: low.spec().step_s,
-            steps: low.steps(),
-            leader: ScriptedLeader::new(low, high),
+            step_s: scenario.spec().step_s,
+            steps: scenario.steps(),
+            leader: ScriptedLeader::new(scenario),
             egos: (1..=last_ego).map(ego).collect(),
-            dead_steps: (1..=last_ego).map(|index| delay_steps(low, &vehicles[index])).collect(),
+            dead_steps: (1..=last_ego).map(|index| delay_steps(scenario, &vehicles[index])).collect(),
             follower,
-            is_box: !family.is_point(),
-            ranges: family.ranges(),
             escape_caveat,
             proof_caveat,
         })
@@ -142,7 +106,7 @@ impl AvoidanceProblem {
         if self.follower.is_some() { self.steps } else { 0 }
     }
 
-    /// Returns the first step from which the leader stands in every scenario of the box; the number of steps if never.
+    /// Returns the first step from which the leader stands; the number of steps if never.
     pub(super) fn leader_standstill_step(&self) -> usize {
         self.leader.standstill_step
     }
@@ -157,75 +121,62 @@ impl AvoidanceProblem {
     }
 
     /// Returns the bound on d of the first ego: its slack to the leader's rear bumper, in metres.
-    pub(super) fn front_slack_m(&self, step: usize, side: BoundSide) -> f64 {
-        let (Some(ego), Some(rear)) = (self.egos.first(), self.leader.rear_m.get(step)) else { return f64::NAN };
-        let t = self.time_s(step);
-        let coast = |x: f64, v: f64| x + v * t;
-        side.select(
-            rear.low() - coast(ego.position_m.high(), ego.speed_mps.high()),
-            rear.high() - coast(ego.position_m.low(), ego.speed_mps.low()),
-        )
+    pub(super) fn front_slack_m(&self, step: usize) -> f64 {
+        let (Some(ego), Some(rear_m)) = (self.egos.first(), self.leader.rear_m.get(step)) else { return f64::NAN };
+        rear_m - self.coasting_m(ego.position_m, ego.speed_mps, step)
+    }
+
+    /// Returns the position of a coasting vehicle, in metres.
+    fn coasting_m(&self, position_m: Interval, speed_mps: Interval, step: usize) -> f64 {
+        position_m.low() + speed_mps.low() * self.time_s(step)
     }
 
     /// Returns the slack between ego `ahead` and the next one if both coast, in metres.
-    pub(super) fn pair_slack_m(&self, ahead: usize, step: usize, side: BoundSide) -> f64 {
+    pub(super) fn pair_slack_m(&self, ahead: usize, step: usize) -> f64 {
         let (Some(front), Some(rear)) = (self.egos.get(ahead), self.egos.get(ahead + 1)) else { return f64::NAN };
-        let t = self.time_s(step);
-        let gap = |f: (f64, f64), r: (f64, f64)| f.0 + f.1 * t - front.length_m - (r.0 + r.1 * t);
-        side.select(
-            gap((front.position_m.low(), front.speed_mps.low()), (rear.position_m.high(), rear.speed_mps.high())),
-            gap((front.position_m.high(), front.speed_mps.high()), (rear.position_m.low(), rear.speed_mps.low())),
-        )
+        let of = |ego: &SceneEgo| self.coasting_m(ego.position_m, ego.speed_mps, step);
+        of(front) - front.length_m - of(rear)
     }
 
     /// Returns the slack between the coasting last ego and a follower whose brake fires at `firing`, in metres.
-    pub(super) fn rear_slack_m(&self, firing: usize, step: usize, side: BoundSide) -> f64 {
+    pub(super) fn rear_slack_m(&self, firing: usize, step: usize) -> f64 {
         let (Some(ego), Some(follower)) = (self.egos.last(), &self.follower) else { return f64::NAN };
-        let t = self.time_s(step);
-        let bumper = |x: f64, v: f64| x + v * t - ego.length_m;
-        side.select(
-            bumper(ego.position_m.low(), ego.speed_mps.low())
-                - self.follower_front_m(follower, firing, step, BoundSide::Upper),
-            bumper(ego.position_m.high(), ego.speed_mps.high())
-                - self.follower_front_m(follower, firing, step, BoundSide::Lower),
-        )
+        self.coasting_m(ego.position_m, ego.speed_mps, step)
+            - ego.length_m
+            - self.follower_front_m(follower, firing, step)
     }
 
     /// Returns the front bumper of a follower that coasts until `firing` and the reaction time, then brakes, in metres.
-    fn follower_front_m(&self, follower: &SceneFollower, firing: usize, step: usize, side: BoundSide) -> f64 {
+    fn follower_front_m(&self, follower: &SceneFollower, firing: usize, step: usize) -> f64 {
         let brakes_from = (firing + follower.reaction_steps as usize).min(step);
-        let bound = |span: Interval| side.select(span.low(), span.high());
-        let (x, v) = (bound(follower.position_m), bound(follower.speed_mps));
-        // The least braking gives the furthest position.
-        let brake_mps2 = side.select(follower.brake_mps2.high(), follower.brake_mps2.low());
+        let (v, brake_mps2) = (follower.speed_mps.low(), follower.brake_mps2.low());
         let coasting_s = self.time_s(brakes_from);
         let braking_s = ((step - brakes_from) as f64 * self.step_s).min(v / brake_mps2);
-        x + v * coasting_s + (v - 0.5 * brake_mps2 * braking_s) * braking_s
+        follower.position_m.low() + v * coasting_s + (v - 0.5 * brake_mps2 * braking_s) * braking_s
     }
 
     /// Returns the bound on d + θ w of the last ego for the guard to have fired by step `firing`.
-    pub(super) fn fired_slack_m(&self, firing: usize, side: BoundSide) -> f64 {
+    pub(super) fn fired_slack_m(&self, firing: usize) -> f64 {
         let (Some(ego), Some(follower)) = (self.egos.last(), &self.follower) else { return f64::NAN };
-        let t = self.time_s(firing);
         let theta = follower.ttc_s;
+        let (own_m, rear_m) = (
+            self.coasting_m(ego.position_m, ego.speed_mps, firing),
+            self.coasting_m(follower.position_m, follower.speed_mps, firing),
+        );
         // -(gap - θ (closing speed)) if all vehicles coast.
-        let of = |x: f64, v: f64, r: f64, vr: f64| -(x + v * t - ego.length_m - (r + vr * t) - theta * (vr - v));
-        side.select(
-            of(ego.position_m.high(), ego.speed_mps.high(), follower.position_m.low(), follower.speed_mps.low()),
-            of(ego.position_m.low(), ego.speed_mps.low(), follower.position_m.high(), follower.speed_mps.high()),
-        )
+        -(own_m - ego.length_m - rear_m - theta * (follower.speed_mps.low() - ego.speed_mps.low()))
     }
 
     /// Returns the bound on -w of an ego: its initial speed, in m/s.
-    pub(super) fn speed_slack_mps(&self, ego: usize, side: BoundSide) -> f64 {
-        self.egos.get(ego).map_or(f64::NAN, |ego| side.select(ego.speed_mps.low(), ego.speed_mps.high()))
+    pub(super) fn speed_slack_mps(&self, ego: usize) -> f64 {
+        self.egos.get(ego).map_or(f64::NAN, |ego| ego.speed_mps.low())
     }
 
     /// Returns the smallest initial gap, in metres: an upper bound for every escape.
-    pub(super) fn initial_gap_m(&self, side: BoundSide) -> f64 {
-        let pairs = (0..self.egos.len().saturating_sub(1)).map(|ahead| self.pair_slack_m(ahead, 0, side));
-        let rear = self.follower.iter().map(|_| self.rear_slack_m(0, 0, side));
-        pairs.chain(rear).fold(self.front_slack_m(0, side), f64::min)
+    pub(super) fn initial_gap_m(&self) -> f64 {
+        let pairs = (0..self.egos.len().saturating_sub(1)).map(|ahead| self.pair_slack_m(ahead, 0));
+        let rear = self.follower.iter().map(|_| self.rear_slack_m(0, 0));
+        pairs.chain(rear).fold(self.front_slack_m(0), f64::min)
     }
 }
 

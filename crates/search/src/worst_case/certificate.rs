@@ -2,14 +2,13 @@
 
 use crumple_verify::{
     Assumption, AvoidableClaim, Branch, Certificate, CertificateProvenance, ConstantPiece, GapBoundClaim, Interval,
-    Scene, SceneEgo, SceneLeader, Statement, UnavoidableClaim,
+    Scene, SceneLeader, Statement, UnavoidableClaim,
 };
 
 use super::avoidance_problem::AvoidanceProblem;
 use super::firing_search::FiringSearch;
 use super::multipliers::{DualProof, Multipliers, ROUNDING_MARGIN, WeightedInstant};
 use super::reason::UndecidedReason;
-use super::scenario_box::ScenarioBox;
 use crumple_core::digest::sha256;
 use crumple_world::scenario::{Scenario, file};
 
@@ -19,10 +18,13 @@ fn build_scene(problem: &AvoidanceProblem) -> Scene {
         step_s: problem.step_s,
         steps: step_count(problem.steps),
         leader: SceneLeader {
-            position_m: leader.position_m,
+            position_m: Interval::point(leader.position_m),
             length_m: leader.length_m,
-            speed_mps: leader.speed_mps,
-            acceleration_mps2: run_length_encode(&leader.acceleration_mps2),
+            speed_mps: Interval::point(leader.speed_mps),
+            acceleration_mps2: run_length_encode(&leader.acceleration_mps2)
+                .into_iter()
+                .map(|ConstantPiece(steps, held_mps2)| ConstantPiece(steps, Interval::point(held_mps2)))
+                .collect(),
         },
         egos: egos.clone(),
         follower: follower.clone(),
@@ -37,7 +39,7 @@ pub(super) fn avoidable(
 ) -> Result<Certificate, UndecidedReason> {
     let witness = acceleration_mps2.iter().map(|each| run_length_encode(each)).collect();
     let statement = AvoidableClaim { scene: build_scene(problem), witness, min_gap_m_at_least };
-    wrap_statement(scenario, problem, Statement::Avoidable(statement))
+    wrap_statement(scenario, Statement::Avoidable(statement))
 }
 
 /// Returns the certificate that there is no escape; `None` if the search has not closed every branch.
@@ -47,12 +49,8 @@ pub(super) fn unavoidable(
     search: &FiringSearch<'_>,
 ) -> Result<Option<Certificate>, UndecidedReason> {
     let Some(branches) = closing_branches(problem, search, 0.0) else { return Ok(None) };
-    wrap_statement(
-        scenario,
-        problem,
-        Statement::Unavoidable(UnavoidableClaim { scene: build_scene(problem), branches }),
-    )
-    .map(Some)
+    wrap_statement(scenario, Statement::Unavoidable(UnavoidableClaim { scene: build_scene(problem), branches }))
+        .map(Some)
 }
 
 /// Returns the certificate that no profile keeps every gap at `gap_m`; `None` if some branch has no proof.
@@ -64,18 +62,13 @@ pub(super) fn gap_bound(
 ) -> Result<Option<Certificate>, UndecidedReason> {
     let Some(branches) = closing_branches(problem, search, gap_m) else { return Ok(None) };
     let statement = GapBoundClaim { scene: build_scene(problem), gap_m, branches };
-    wrap_statement(scenario, problem, Statement::GapBound(statement)).map(Some)
+    wrap_statement(scenario, Statement::GapBound(statement)).map(Some)
 }
 
-fn wrap_statement(
-    scenario: &Scenario,
-    problem: &AvoidanceProblem,
-    statement: Statement,
-) -> Result<Certificate, UndecidedReason> {
+fn wrap_statement(scenario: &Scenario, statement: Statement) -> Result<Certificate, UndecidedReason> {
     let unwritable = |error: toml::ser::Error| UndecidedReason::Unwritable { why: error.to_string() };
     let text = file::to_toml(scenario).map_err(unwritable)?;
-    let ranges = problem.ranges.as_ref().map(toml::to_string).transpose().map_err(unwritable)?;
-    let mut certificate = build_certificate(scenario.spec().name.clone(), Some(text), ranges, statement);
+    let mut certificate = build_certificate(scenario.spec().name.clone(), Some(text), None, statement);
     certificate.assumptions.extend(relies_on_noise(scenario).then_some(Assumption::NoiseOfSeed));
     Ok(certificate)
 }
@@ -190,21 +183,12 @@ fn step_count(steps: usize) -> u32 {
     u32::try_from(steps).unwrap_or(u32::MAX)
 }
 
-/// Returns true if a certificate's claim covers a scenario. Its scene must be that of the scenario or a box around it,
-/// and must model everything in the scenario. Noise is covered only if the certificate assumes its seed. The stated
-/// origin is ignored.
+/// Returns true if a certificate's claim is about the scene of a scenario, everything modelled. Noise is covered only
+/// if the certificate assumes its seed. The stated origin is ignored.
 #[must_use]
 pub fn covers_scenario(certificate: &Certificate, scenario: &Scenario) -> bool {
-    let Ok(problem) = AvoidanceProblem::new(&ScenarioBox::point(scenario)) else { return false };
-    let covers = |claimed: &Scene| covers(claimed, &build_scene(&problem));
-    is_modelled(certificate, scenario, &problem) && certificate.statement.scene().is_some_and(covers)
-}
-
-/// Returns true if a certificate's claim is about exactly this box.
-#[must_use]
-pub fn matches_box(certificate: &Certificate, family: &ScenarioBox) -> bool {
-    let Ok(problem) = AvoidanceProblem::new(family) else { return false };
-    is_modelled(certificate, family.centre(), &problem) && certificate.statement.scene() == Some(&build_scene(&problem))
+    let Ok(problem) = AvoidanceProblem::new(scenario) else { return false };
+    is_modelled(certificate, scenario, &problem) && certificate.statement.scene() == Some(&build_scene(&problem))
 }
 
 /// Returns true if the claim models everything in a scenario.
@@ -227,41 +211,4 @@ fn is_modelled(certificate: &Certificate, scenario: &Scenario, problem: &Avoidan
         }
         _ => false,
     }
-}
-
-fn covers(outer: &Scene, inner: &Scene) -> bool {
-    let within = |outer: Interval, inner: Interval| outer.contains(inner.low()) && outer.contains(inner.high());
-    let flat = |scene: &Scene| -> Vec<Interval> {
-        let runs = scene.leader.acceleration_mps2.iter();
-        runs.flat_map(|ConstantPiece(steps, value)| std::iter::repeat_n(*value, *steps as usize)).collect()
-    };
-    let script = || {
-        let (outer, inner) = (flat(outer), flat(inner));
-        outer.len() == inner.len() && outer.iter().zip(&inner).all(|(outer, inner)| within(*outer, *inner))
-    };
-    let leader = within(outer.leader.position_m, inner.leader.position_m)
-        && within(outer.leader.speed_mps, inner.leader.speed_mps)
-        && outer.leader.length_m == inner.leader.length_m;
-    let ego = |(outer, inner): (&SceneEgo, &SceneEgo)| {
-        within(outer.position_m, inner.position_m)
-            && within(outer.speed_mps, inner.speed_mps)
-            && (outer.length_m, outer.max_brake_mps2, outer.max_accel_mps2)
-                == (inner.length_m, inner.max_brake_mps2, inner.max_accel_mps2)
-    };
-    let follower = match (&outer.follower, &inner.follower) {
-        (None, None) => true,
-        (Some(outer), Some(inner)) => {
-            within(outer.position_m, inner.position_m)
-                && within(outer.speed_mps, inner.speed_mps)
-                && within(outer.brake_mps2, inner.brake_mps2)
-                && (outer.ttc_s, outer.reaction_steps) == (inner.ttc_s, inner.reaction_steps)
-        }
-        _ => false,
-    };
-    (outer.step_s, outer.steps) == (inner.step_s, inner.steps)
-        && leader
-        && outer.egos.len() == inner.egos.len()
-        && outer.egos.iter().zip(&inner.egos).all(ego)
-        && follower
-        && script()
 }

@@ -4,9 +4,9 @@
 //! a thousandth of the cost. The search solves the firing with the highest bound, lowers all other bounds, drops
 //! firings that cannot beat the best escape, and repeats. If no escape is found, the bounds are a proof.
 
-use super::avoidance_problem::{AvoidanceProblem, BoundSide};
+use super::avoidance_problem::AvoidanceProblem;
 use super::multipliers::{DualProof, Multipliers, ROUNDING_MARGIN};
-use super::program::{self, EscapeObjective, EscapeQuery, Grid, ProgramOutcome};
+use super::program::{self, Grid, ProgramOutcome};
 
 #[derive(Debug, Clone)]
 pub(super) struct ModelEscape {
@@ -96,7 +96,7 @@ impl<'a> FiringSearch<'a> {
     }
 
     fn solve(&mut self, grid: &Grid, firing: usize) {
-        match self.solve_program(grid, firing, BoundSide::Lower) {
+        match self.solve_program(grid, firing) {
             ProgramOutcome::Profile { gap_m, acceleration_mps2, multipliers } => {
                 self.cut(multipliers);
                 if self.best.as_ref().is_none_or(|best| gap_m > best.gap_m) {
@@ -106,31 +106,11 @@ impl<'a> FiringSearch<'a> {
             ProgramOutcome::Infeasible(multipliers) => self.cut(multipliers),
             ProgramOutcome::SolverFailed(status) => self.solver_failure = Some(status),
         }
-        // A profile for the whole box may not exist although each member has one: a proof needs the upper slacks.
-        if self.problem.is_box && self.best.as_ref().is_none_or(|best| best.gap_m <= 0.0) {
-            match self.solve_program(grid, firing, BoundSide::Upper) {
-                ProgramOutcome::Profile { multipliers, .. } | ProgramOutcome::Infeasible(multipliers) => {
-                    self.cut(multipliers)
-                }
-                ProgramOutcome::SolverFailed(status) => self.solver_failure = Some(status),
-            }
-        }
     }
 
-    fn solve_program(&mut self, grid: &Grid, firing: usize, side: BoundSide) -> ProgramOutcome {
+    fn solve_program(&mut self, grid: &Grid, firing: usize) -> ProgramOutcome {
         self.programs += 1;
-        program::solve(self.problem, grid, firing, EscapeQuery { objective: EscapeObjective::LargestGap, side })
-    }
-
-    /// Returns a smoother escape with the same firing and at least half of its smallest gap.
-    pub(super) fn smooth(&self, best: &ModelEscape, objective: impl Fn(f64) -> EscapeObjective) -> Option<ModelEscape> {
-        let wanted = EscapeQuery { objective: objective(0.5 * best.gap_m), side: BoundSide::Lower };
-        match program::solve(self.problem, &best.grid, best.firing, wanted) {
-            ProgramOutcome::Profile { gap_m, acceleration_mps2, .. } => {
-                Some(ModelEscape { firing: best.firing, gap_m, acceleration_mps2, grid: best.grid.clone() })
-            }
-            ProgramOutcome::Infeasible(_) | ProgramOutcome::SolverFailed(_) => None,
-        }
+        program::solve(self.problem, grid, firing)
     }
 
     /// Drops the early firings that even a standing ego cannot cause, because the follower only approaches.

@@ -34,7 +34,6 @@ mod program;
 mod pulses;
 mod reason;
 mod report;
-mod scenario_box;
 mod scripted_leader;
 mod sequential;
 
@@ -42,13 +41,12 @@ pub use attack::{
     Attack, AttackError, AttackMethod, AttackObjective, AttackResult, Envelope, MAX_TOTAL_VEHICLE_STEPS,
     MAX_VEHICLE_STEPS, attack,
 };
-pub use avoid::{AvoidError, AvoidOptions, EscapeKind, MAX_EGO_STEPS, MAX_EGOS, avoid, avoid_box, certify};
+pub use avoid::{AvoidError, AvoidOptions, MAX_EGO_STEPS, MAX_EGOS, avoid, certify};
 pub use avoidance::{Avoidance, AvoidanceVerdict, Optimality};
-pub use certificate::{build_certificate, covers_scenario, matches_box};
+pub use certificate::{build_certificate, covers_scenario};
 pub use closed_loop::SearchEffort;
 pub(crate) use descent::{StepSchedule, TrustRegionDescent, VariableBounds};
 pub use emergency_brake::EmergencyBrake;
 pub use escape::{Escape, FoundBy};
 pub use reason::UndecidedReason;
 pub use report::AttackReport;
-pub use scenario_box::{FieldRange, ScenarioBox, ScenarioBoxError, ScenarioRanges};

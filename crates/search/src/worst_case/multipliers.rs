@@ -12,7 +12,7 @@
 //! time, piecewise linear between instants with a multiplier. The bound holds for every control grid and every
 //! controller.
 
-use super::avoidance_problem::{AvoidanceProblem, BoundSide};
+use super::avoidance_problem::AvoidanceProblem;
 
 /// An instant, in steps, and its multiplier.
 pub(super) type WeightedInstant = (usize, f64);
@@ -118,18 +118,17 @@ impl DualProof {
         let mut kinks: Vec<Vec<(usize, f64, f64)>> = vec![Vec::new(); problem.egos.len()];
         let mut constant = 0.0;
         let mut weight = 0.0;
-        let side = BoundSide::Upper;
         let last = problem.egos.len().saturating_sub(1);
         for &(step, value) in &multipliers.front {
             kinks[0].push((step, value, 0.0));
-            constant -= value * problem.front_slack_m(step, side);
+            constant -= value * problem.front_slack_m(step);
             weight += value;
         }
         for (ahead, list) in multipliers.between.iter().enumerate() {
             for &(step, value) in list {
                 kinks[ahead].push((step, -value, 0.0));
                 kinks[ahead + 1].push((step, value, 0.0));
-                constant -= value * problem.pair_slack_m(ahead, step, side);
+                constant -= value * problem.pair_slack_m(ahead, step);
                 weight += value;
             }
         }
@@ -140,7 +139,7 @@ impl DualProof {
         for (ego, list) in multipliers.speed.iter().enumerate() {
             for &(step, value) in list {
                 kinks[ego].push((step, 0.0, -value));
-                constant -= value * problem.speed_slack_mps(ego, side);
+                constant -= value * problem.speed_slack_mps(ego);
             }
         }
         for list in &mut kinks {
@@ -162,7 +161,7 @@ impl DualProof {
     pub(super) fn infimum(&self, problem: &AvoidanceProblem, firing: usize, fired: bool) -> f64 {
         let mut total = self.constant;
         for &(step, value) in &self.multipliers.rear {
-            total -= value * problem.rear_slack_m(firing, step, BoundSide::Upper);
+            total -= value * problem.rear_slack_m(firing, step);
         }
         let mut kink = None;
         if let Some(follower) = &problem.follower
@@ -170,7 +169,7 @@ impl DualProof {
             && self.uses_firing()
         {
             let value = self.multipliers.fired;
-            total -= value * problem.fired_slack_m(firing, BoundSide::Upper);
+            total -= value * problem.fired_slack_m(firing);
             kink = Some((firing, value, value * follower.ttc_s));
         }
         let last = problem.egos.len().saturating_sub(1);

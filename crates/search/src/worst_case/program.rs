@@ -16,7 +16,7 @@
 //! ```
 //! A profile that fires before τ makes the follower brake earlier and leaves more room, so it is an escape as well.
 
-use super::avoidance_problem::{AvoidanceProblem, BoundSide};
+use super::avoidance_problem::AvoidanceProblem;
 use super::multipliers::Multipliers;
 use crumple_quadratic::{QuadraticProgram, QuadraticSolution};
 
@@ -25,21 +25,6 @@ use crumple_quadratic::{QuadraticProgram, QuadraticSolution};
 pub(super) struct Grid {
     /// Increasing steps, from 0 to the number of steps.
     pub(super) steps: Vec<usize>,
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) enum EscapeObjective {
-    LargestGap,
-    /// ∫ a² with all gaps at least this many metres.
-    GentlestEscape(f64),
-    /// Sum of squared changes of acceleration with all gaps at least this many metres.
-    LeastJerk(f64),
-}
-
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(super) struct EscapeQuery {
-    pub(super) objective: EscapeObjective,
-    pub(super) side: BoundSide,
 }
 
 #[derive(Debug, Clone)]
@@ -90,12 +75,12 @@ enum ConstraintRow {
     Other,
 }
 
-/// Returns the largest smallest gap, or the best escape, if the follower's brake fires by step `firing`.
-pub(super) fn solve(problem: &AvoidanceProblem, grid: &Grid, firing: usize, wanted: EscapeQuery) -> ProgramOutcome {
-    let mut program = EscapeProgram::new(problem, grid, wanted);
+/// Returns the largest smallest gap if the follower's brake fires by step `firing`.
+pub(super) fn solve(problem: &AvoidanceProblem, grid: &Grid, firing: usize) -> ProgramOutcome {
+    let mut program = EscapeProgram::new(problem, grid);
     program.add_motion_rows();
     program.add_gap_rows(firing);
-    program.set_objective();
+    program.quadratic_program.add_linear_cost(GAP_VARIABLE, -1.0);
     let (at, multipliers) = match program.quadratic_program.solve() {
         QuadraticSolution::Optimal { point: at, multipliers } => (at, multipliers),
         QuadraticSolution::Infeasible(multipliers) => {
@@ -111,7 +96,6 @@ pub(super) fn solve(problem: &AvoidanceProblem, grid: &Grid, firing: usize, want
 struct EscapeProgram<'a> {
     problem: &'a AvoidanceProblem,
     grid: &'a Grid,
-    query: EscapeQuery,
     quadratic_program: QuadraticProgram,
     rows: Vec<ConstraintRow>,
 }
@@ -119,9 +103,9 @@ struct EscapeProgram<'a> {
 const GAP_VARIABLE: usize = 0;
 
 impl<'a> EscapeProgram<'a> {
-    fn new(problem: &'a AvoidanceProblem, grid: &'a Grid, wanted: EscapeQuery) -> Self {
+    fn new(problem: &'a AvoidanceProblem, grid: &'a Grid) -> Self {
         let variables = 1 + 2 * problem.egos.len() * grid.cell_count();
-        Self { problem, grid, query: wanted, quadratic_program: QuadraticProgram::new(variables), rows: Vec::new() }
+        Self { problem, grid, quadratic_program: QuadraticProgram::new(variables), rows: Vec::new() }
     }
 
     /// Returns the variable w of an ego at a grid instant after the first; d is the next one.
@@ -145,7 +129,6 @@ impl<'a> EscapeProgram<'a> {
     }
 
     fn add_motion_rows(&mut self) {
-        let side = self.query.side;
         for instant in 1..=self.grid.cell_count() {
             let cell_s = self.cell_s(instant);
             for (ego, limits) in self.problem.egos.iter().enumerate() {
@@ -165,62 +148,39 @@ impl<'a> EscapeProgram<'a> {
                     self.add_inequality(ConstraintRow::Other, &back, limits.max_brake_mps2 * cell_s);
                 }
                 let step = self.grid.steps[instant];
-                self.add_inequality(
-                    ConstraintRow::Speed(ego, step),
-                    &[(w, -1.0)],
-                    self.problem.speed_slack_mps(ego, side),
-                );
+                self.add_inequality(ConstraintRow::Speed(ego, step), &[(w, -1.0)], self.problem.speed_slack_mps(ego));
             }
         }
-    }
-
-    /// Returns the change of acceleration from the previous cell; from 0 at the start.
-    fn acceleration_change_terms(&self, ego: usize, instant: usize) -> (Vec<(usize, f64)>, f64) {
-        let scaled = |instant: usize, by: f64| {
-            let cell_s = self.cell_s(instant);
-            self.speed_change_terms(ego, instant).into_iter().map(move |(variable, c)| (variable, by * c / cell_s))
-        };
-        let mut terms: Vec<_> = scaled(instant, 1.0).collect();
-        let mut apart_s = 0.5 * self.cell_s(instant);
-        if instant > 1 {
-            terms.extend(scaled(instant - 1, -1.0));
-            apart_s += 0.5 * self.cell_s(instant - 1);
-        }
-        (terms, apart_s)
     }
 
     fn add_gap_rows(&mut self, firing: usize) {
-        let (problem, side) = (self.problem, self.query.side);
-        self.add_inequality(ConstraintRow::Other, &[(GAP_VARIABLE, 1.0)], problem.initial_gap_m(side));
+        let problem = self.problem;
+        self.add_inequality(ConstraintRow::Other, &[(GAP_VARIABLE, 1.0)], problem.initial_gap_m());
         let last = problem.egos.len() - 1;
         let (leader_rests, follower_rests) =
             (problem.leader_standstill_step(), problem.follower_standstill_step(firing));
-        // Upper slacks allow each ego the speed loss of the fastest member of the box. With this loss the slowest
-        // member would reverse.
-        let may_reverse = problem.is_box && side == BoundSide::Upper;
         for instant in 1..=self.grid.cell_count() {
             let step = self.grid.steps[instant];
             let d = |program: &Self, ego: usize| program.speed_variable(ego, instant) + 1;
-            // Egos do not reverse. Behind a standing leader, only the row of the final instant is needed; ahead of a
-            // standing follower, only the first row.
-            if step <= leader_rests || instant == self.grid.cell_count() || may_reverse {
+            // Behind a standing leader or ahead of a standing follower the last row suffices: egos do not reverse.
+            if step <= leader_rests || instant == self.grid.cell_count() {
                 let terms = [(d(self, 0), 1.0), (GAP_VARIABLE, 1.0)];
-                self.add_inequality(ConstraintRow::Front(step), &terms, problem.front_slack_m(step, side));
+                self.add_inequality(ConstraintRow::Front(step), &terms, problem.front_slack_m(step));
             }
             for ahead in 0..last {
                 let terms = [(d(self, ahead + 1), 1.0), (d(self, ahead), -1.0), (GAP_VARIABLE, 1.0)];
-                self.add_inequality(ConstraintRow::Pair(ahead, step), &terms, problem.pair_slack_m(ahead, step, side));
+                self.add_inequality(ConstraintRow::Pair(ahead, step), &terms, problem.pair_slack_m(ahead, step));
             }
             if problem.follower.is_some() && self.grid.steps[instant - 1] <= follower_rests {
                 let terms = [(d(self, last), -1.0), (GAP_VARIABLE, 1.0)];
-                self.add_inequality(ConstraintRow::Rear(step), &terms, problem.rear_slack_m(firing, step, side));
+                self.add_inequality(ConstraintRow::Rear(step), &terms, problem.rear_slack_m(firing, step));
             }
         }
         if let Some(follower) = &problem.follower
             && firing < problem.never_firing()
         {
             let terms = self.guard_terms(firing, follower.ttc_s);
-            self.add_inequality(ConstraintRow::Fired, &terms, problem.fired_slack_m(firing, side) - GUARD_MARGIN_M);
+            self.add_inequality(ConstraintRow::Fired, &terms, problem.fired_slack_m(firing) - GUARD_MARGIN_M);
         }
     }
 
@@ -243,30 +203,10 @@ impl<'a> EscapeProgram<'a> {
         terms
     }
 
-    fn set_objective(&mut self) {
-        let (least_m, of_jumps) = match self.query.objective {
-            EscapeObjective::LargestGap => return self.quadratic_program.add_linear_cost(GAP_VARIABLE, -1.0),
-            EscapeObjective::GentlestEscape(least_m) => (least_m, false),
-            EscapeObjective::LeastJerk(least_m) => (least_m, true),
-        };
-        self.add_inequality(ConstraintRow::Other, &[(GAP_VARIABLE, -1.0)], -least_m);
-        for instant in 1..=self.grid.cell_count() {
-            for ego in 0..self.problem.egos.len() {
-                if of_jumps {
-                    let (terms, apart_s) = self.acceleration_change_terms(ego, instant);
-                    self.quadratic_program.add_squared_cost(&terms, 1.0 / apart_s);
-                } else {
-                    self.quadratic_program
-                        .add_squared_cost(&self.speed_change_terms(ego, instant), 1.0 / self.cell_s(instant));
-                }
-            }
-        }
-    }
-
     /// Returns the accelerations of a solution, clamped to the limits because of the solver's accuracy.
     fn accelerations(&self, at: &[f64], ego: usize) -> Vec<f64> {
         let limits = &self.problem.egos[ego];
-        let lowest_mps = -self.problem.speed_slack_mps(ego, BoundSide::Lower);
+        let lowest_mps = -self.problem.speed_slack_mps(ego);
         let mut before = 0.0;
         let cells = 1..=self.grid.cell_count();
         let of_cell = cells.map(|instant| {

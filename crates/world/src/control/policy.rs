@@ -13,7 +13,6 @@ pub struct PolicyDriver {
     decision_timer: DecisionTimer,
     frame_stack: FrameStack,
     held_action: HeldAction,
-    step_s: f64,
     workspace: Workspace,
 }
 
@@ -23,14 +22,7 @@ impl PolicyDriver {
     pub fn new(policy: Arc<Policy>, ego: &Ego) -> Self {
         let interval = DecisionTimer::new(Some(policy.header().decision_interval_s), ego.step_s);
         let (past, held, space) = Default::default();
-        Self {
-            policy,
-            decision_timer: interval,
-            frame_stack: past,
-            held_action: held,
-            step_s: ego.step_s,
-            workspace: space,
-        }
+        Self { policy, decision_timer: interval, frame_stack: past, held_action: held, workspace: space }
     }
 }
 
@@ -41,7 +33,7 @@ impl Controller for PolicyDriver {
             let row = self.policy.observe(seen, last_answer_mps2, &mut self.frame_stack);
             self.held_action.set(self.policy.choose(row, &mut self.workspace));
         }
-        Ok(self.held_action.acceleration_mps2(&self.policy.header().action, seen, self.step_s))
+        Ok(self.held_action.acceleration_mps2(&self.policy.header().action))
     }
 
     /// Decides for all drivers that are due, with one matrix product per group of equal policies.
@@ -73,8 +65,8 @@ impl Controller for PolicyDriver {
                 all[*index].held_action.set(action);
             }
         }
-        for ((command_mps2, driver), seen) in commands_mps2.iter_mut().zip(all).zip(&all_seen) {
-            *command_mps2 = driver.held_action.acceleration_mps2(&driver.policy.header().action, seen, driver.step_s);
+        for (command_mps2, driver) in commands_mps2.iter_mut().zip(all) {
+            *command_mps2 = driver.held_action.acceleration_mps2(&driver.policy.header().action);
         }
     }
 }

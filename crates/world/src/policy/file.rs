@@ -8,7 +8,7 @@ use safetensors::tensor::{Dtype, TensorView};
 use safetensors::{SafeTensorError, SafeTensors};
 
 use super::header::{POLICY_VERSION, PolicyHeader};
-use super::{Network, Policy, ResidualControl};
+use super::{Network, Policy};
 
 const METADATA_KEY: &str = "crumple_policy";
 
@@ -92,11 +92,15 @@ impl Policy {
         let (_, container) = SafeTensors::read_metadata(bytes)?;
         let text = container.metadata().as_ref().and_then(|metadata| metadata.get(METADATA_KEY));
         let text = text.ok_or_else(|| PolicyError::Header("missing: this is not a policy file".to_owned()))?;
-        let version = serde_json::from_str::<serde_json::Value>(text).ok();
-        let version = version.as_ref().and_then(|header| header.get("version")).and_then(serde_json::Value::as_u64);
+        let raw = serde_json::from_str::<serde_json::Value>(text).unwrap_or_default();
+        let version = raw.get("version").and_then(serde_json::Value::as_u64);
         if let Some(version) = version.filter(|&version| version != u64::from(POLICY_VERSION)) {
             let problem = format!("version {version} is not supported: this release reads {POLICY_VERSION}");
             return Err(PolicyError::Header(problem));
+        }
+        if raw.pointer("/action/departs_from").is_some() {
+            let problem = "action.departs_from: residual policies were removed in crumple 0.3.0";
+            return Err(PolicyError::Header(problem.to_owned()));
         }
         let header: PolicyHeader = serde_json::from_str(text).map_err(|e| PolicyError::Header(e.to_string()))?;
         check_header(&header)?;
@@ -234,9 +238,6 @@ pub(super) fn check_header(header: &PolicyHeader) -> Result<(), PolicyError> {
     }
     if !(action.low_mps2 - action.high_mps2).is_finite() || !(action.low_mps2 + action.high_mps2).is_finite() {
         return wrong("action", "the bounds must be finite, and so their sum and difference".to_owned());
-    }
-    if let Some(Err((field, problem))) = action.residual_over.as_ref().map(ResidualControl::check) {
-        return wrong("action.departs_from", format!("{field} {problem}"));
     }
     Ok(())
 }

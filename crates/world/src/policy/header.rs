@@ -2,7 +2,6 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::residual::ResidualControl;
 use crate::observation::{EMPTY_GAP_M, EstimatorKind, Neighbour, Observation, ObservedQuantity};
 
 /// Version of the policy file format that this release reads and writes.
@@ -144,20 +143,16 @@ pub struct ActionBounds {
     pub low_mps2: f64,
     /// Maximum acceleration, in m/s².
     pub high_mps2: f64,
-    /// Base controller of a residual policy; `None` if the network determines the acceleration itself.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "departs_from")]
-    pub residual_over: Option<ResidualControl>,
 }
 
 impl Default for ActionBounds {
     fn default() -> Self {
-        Self { low_mps2: -7.5, high_mps2: 3.0, residual_over: None }
+        Self { low_mps2: -7.5, high_mps2: 3.0 }
     }
 }
 
 impl ActionBounds {
-    /// Returns the action, between -1 and 1, that stands for an acceleration without a base controller.
+    /// Returns the action, between -1 and 1, that stands for an acceleration.
     #[must_use]
     pub fn action(&self, acceleration_mps2: f64) -> f32 {
         let action = (2.0 * acceleration_mps2 - self.low_mps2 - self.high_mps2) / (self.high_mps2 - self.low_mps2);

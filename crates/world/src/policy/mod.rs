@@ -6,10 +6,10 @@ mod elementwise;
 mod file;
 mod frame_stack;
 mod header;
+mod held_action;
 mod learning_curve;
 mod network;
 mod product;
-mod residual;
 mod simd;
 
 use std::sync::{Arc, LazyLock};
@@ -18,11 +18,11 @@ pub use elementwise::Elementwise;
 pub use file::{MAX_EXTRA_INPUTS, MAX_HISTORY, PolicyError};
 pub use frame_stack::FrameStack;
 pub use header::{ActionBounds, ExtraInput, ObservationScaling, POLICY_VERSION, PolicyHeader, STATE_LEN};
+pub use held_action::HeldAction;
 pub use learning_curve::{COLLISION_FREE_REWARD, CurvePoint, LearningCurve};
 pub(crate) use network::PackedNetwork;
 pub use network::{Network, Workspace};
 pub use product::{Lhs, PackedPanels, Rhs, multiply_vector, with_workers};
-pub use residual::{HeldAction, ResidualControl};
 #[cfg(test)]
 pub(crate) use simd::available_archs;
 pub use simd::{SimdClosure, f64_lanes, has_fused_multiply_add};

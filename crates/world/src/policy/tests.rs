@@ -50,7 +50,7 @@ fn any_observation() -> impl Strategy<Value = Observation> {
 fn first_acceleration_mps2(policy: &Policy, seen: &Observation) -> f64 {
     let mut held = HeldAction::default();
     held.set(policy.choose(policy.observe(seen, 0.0, &mut FrameStack::default()), &mut Workspace::default()));
-    held.acceleration_mps2(&policy.header().action, seen, 0.01)
+    held.acceleration_mps2(&policy.header().action)
 }
 
 proptest! {
@@ -149,17 +149,24 @@ fn refusals_name_the_reason() {
     says(refused(&|p| p.header.observation.limit = 1e39), "layer 0 can overflow");
     says(refused(&|p| p.network.parameters_mut()[8 * 6 + 6..].fill(-1e38)), "layer 1 can overflow");
     says(Policy::from_bytes(b"not a policy").expect_err("refused").to_string(), "safetensors");
+    let mut residual = policy(&[6, 4], 0.1, 2);
+    residual.header.action.low_mps2 = -7.25;
+    // A field of the same length takes the place of the bound.
+    let bytes = residual.to_bytes().unwrap();
+    let at = bytes.windows(8).position(|window| window == b"low_mps2").unwrap();
+    let bytes = [&bytes[..at], br#"departs_from\":0"#, &bytes[at + 16..]].concat();
+    let removed = "action.departs_from: residual policies were removed in crumple 0.3.0";
+    says(Policy::from_bytes(&bytes).expect_err("refused").to_string(), removed);
     let missing = Policy::load(std::path::Path::new("no/such.safetensors")).expect_err("refused");
     says(missing.to_string(), "no/such.safetensors");
 }
 
 #[test]
 fn no_number_at_all_means_full_braking() {
-    let seen = Observation { speed_mps: 20.0, acceleration_mps2: 0.0, ahead: None, behind: None };
     let meant = |raw| {
         let mut held = HeldAction::default();
         held.set(ActionBounds::squash(raw));
-        held.acceleration_mps2(&ActionBounds::default(), &seen, 0.01)
+        held.acceleration_mps2(&ActionBounds::default())
     };
     assert_eq!([f32::NAN, f32::INFINITY].map(meant), [-7.5, 3.0]);
 }

@@ -256,14 +256,3 @@ fn a_direction_is_the_share_of_the_speed() {
         assert_eq!(direction_key(&vector), expected, "{vector:?}");
     }
 }
-
-#[test]
-fn a_vehicle_that_moves_later_in_an_interval_keeps_its_mode() {
-    let seen = |speed| VehicleState { speed, ..VehicleState::default() };
-    let kind =
-        |before: AffineForm, after: AffineForm| EgoSet::from_speed(before, SHARED_SYMBOLS).with_ego(seen(after)).mode;
-    assert_eq!(kind(point_form(5.0), point_form(4.0)), MotionMode::Moving);
-    assert_eq!(kind(point_form(5.0), point_form(0.0)), MotionMode::Moving);
-    assert_eq!(kind(point_form(0.0), point_form(0.0)), MotionMode::Standing);
-    assert_eq!(kind(point_form(0.0), point_form(0.1)), MotionMode::Restarted);
-}

@@ -93,15 +93,3 @@ fn many_decisions_share_symbols() {
     }
     assert_eq!(leader([10.0, 11.0], 0.0, 300, 3).symbol_count(), 0);
 }
-
-#[test]
-fn accelerations_of_a_script_are_those_of_its_brake() {
-    let step = Interval::point(STEP_S);
-    let ranges = [symbol_form(2, 20.0, 21.0), symbol_form(5, 5.0, 6.0), symbol_form(7, 2.0, 5.5)];
-    let [speed, rate, onset] = ranges;
-    let braking = BrakingVehicle::new(speed, rate, onset, interval(2.0, 5.5), step);
-    let of_braking = braking.possible_accelerations(4, step);
-    assert!(of_braking.len() > 1);
-    assert_eq!(LeaderModel::Scripted(Box::new(braking)).possible_accelerations(4, step), of_braking);
-    assert!(leader([10.0, 11.0], 6.0, 20, 2).possible_accelerations(4, step).is_empty());
-}

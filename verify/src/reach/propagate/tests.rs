@@ -1,7 +1,7 @@
 use super::super::fixtures::{
     affine_controller, assert_bounds, constant_controller, default_problem, point_box, point_form, symbol_form,
 };
-use super::super::follower::{AccAebLaw, IdmLaw};
+use super::super::follower::AccAebLaw;
 use super::*;
 
 const DEFAULT_POINT: [f64; 8] = [20.0, 20.0, 10.0, 10.0, 10.0, 0.0, 6.0, 0.0];
@@ -93,48 +93,6 @@ fn a_decision_has_the_stated_cost() {
 }
 
 #[test]
-fn a_residual_policy_costs_a_base_controller_at_each_step() {
-    let mut controller = constant_controller(0.0);
-    let idm = IdmLaw {
-        desired_speed_mps: 30.0,
-        time_headway_s: 1.3,
-        standstill_gap_m: 2.0,
-        accel_mps2: 0.73,
-        comfortable_brake_mps2: 1.67,
-        max_accel_mps2: 3.0,
-    };
-    controller.residual_over = Some(ResidualPolicy { dead_zone: 0.4, rate_per_s: 1000.0, idm });
-    let scene = ReachProblem { steps: 36, decision_steps: 3, ..default_problem(&controller, point_box(DEFAULT_POINT)) };
-    let work = OpBudget::new(WorkLimit::from_operations(
-        OPS_PER_DECISION + 3 * OPS_PER_STEP + 3 * OPS_PER_LAW_SYMBOL * SHARED_SYMBOLS as u64,
-    ));
-    let mut analysis = ReachAnalysis::new(&scene, &work, None);
-    let set = analysis.observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
-    assert!(analysis.decide(0, &set).is_some());
-    assert!(work.charge(0) && !work.charge(1));
-}
-
-#[test]
-fn accelerations_are_looked_at_one_by_one() {
-    let (controller, work) = (constant_controller(0.0), unlimited_budget());
-    let scene = default_problem(&controller, point_box(DEFAULT_POINT));
-    let mut set =
-        ReachAnalysis::new(&scene, &work, None).observe(0, EgoSet::from_speed(point_form(10.0), SHARED_SYMBOLS), None);
-    let seen = |set: &StateSet| -> Vec<_> {
-        set.split_cases()
-            .iter()
-            .map(|case| [ACCELERATION_AHEAD, ACCELERATION_BEHIND].map(|number| case.observation[number].centre()))
-            .collect()
-    };
-    set.acceleration_cases = [Vec::new(), Vec::new()];
-    assert_eq!(seen(&set), [[0.0, 0.0]]);
-    set.acceleration_cases = [[-1.0, -2.0].map(point_form).to_vec(), [0.0, -4.0, -5.0].map(point_form).to_vec()];
-    let mut pairs = seen(&set);
-    pairs.sort_by(|a, b| b.partial_cmp(a).unwrap());
-    assert_eq!(pairs, [[-1.0, 0.0], [-1.0, -4.0], [-1.0, -5.0], [-2.0, 0.0], [-2.0, -4.0], [-2.0, -5.0]]);
-}
-
-#[test]
 fn sets_that_are_too_wide_are_undecided() {
     let work = unlimited_budget();
     for (radius, of_wanted, goes_on) in [(39.0, 0.0, true), (41.0, 0.0, false), (39.0, 1.1, false), (30.0, 1.1, true)] {
@@ -161,7 +119,7 @@ fn a_follower_fires_where_its_guard_may_be_negative() {
         analysis.firing_instants(
             8,
             &EgoSet::from_speed(point_form(speeds[0]), SHARED_SYMBOLS),
-            &CommandProfile::Constant(point_form(wanted)),
+            &point_form(wanted),
             &follower,
         )
     };
@@ -187,7 +145,7 @@ fn the_gap_to_a_modelled_follower_is_bounded_in_each_step() {
     let analysis = ReachAnalysis::new(&scene, &work, None);
     let at_rest = |speed| VehicleState { speed, ..VehicleState::default() };
     let members = EgoSet::from_speed(point_form(15.0), SHARED_SYMBOLS).with_follower(Some(at_rest(point_form(20.0))));
-    let follow = |mps2: f64| analysis.advance_follower(&members, &CommandProfile::Constant(point_form(mps2))).unwrap();
+    let follow = |mps2: f64| analysis.advance_follower(&members, &point_form(mps2)).unwrap();
     for (mps2, m) in [(1.0, 7.0), (-2.0, 6.0)] {
         let (follower, least_m) = follow(mps2);
         let gap = 10.0 - 5.0 * 0.3 + 0.5 * (mps2 + 6.0) * 0.09;
@@ -218,7 +176,7 @@ fn gaps_are_bounded_between_decisions() {
         let set = analysis.observe(0, EgoSet::from_speed(point_form(speed), SHARED_SYMBOLS), Some(&follower));
         let now = StateSet { gaps: [point_form(7.0), point_form(4.0)], ..set };
         let before = [point_form(6.0), point_form(5.0)];
-        let acts = CommandProfile::Constant(AffineForm::constant(Interval::new(acts[0], acts[1]).unwrap()));
+        let acts = AffineForm::constant(Interval::new(acts[0], acts[1]).unwrap());
         assert!(!analysis.record_gaps(0, &before, &now, &acts, Some(&follower), None));
         let expected = [6.0 - ahead * 0.02, 4.0 - behind * 0.02];
         for (found, expected) in analysis.result.gaps_m.into_iter().zip(expected) {
@@ -236,7 +194,7 @@ fn a_gap_of_exactly_nothing_is_in_doubt_and_no_contact() {
     let mut analysis = ReachAnalysis::new(&scene, &work, None);
     let set = analysis.observe(0, EgoSet::from_speed(AffineForm::default(), SHARED_SYMBOLS), None);
     let before = set.gaps.clone();
-    assert!(!analysis.record_gaps(3, &before, &set, &CommandProfile::Constant(AffineForm::default()), None, None));
+    assert!(!analysis.record_gaps(3, &before, &set, &AffineForm::default(), None, None));
     assert!(matches!(
         analysis.result.undecided,
         Some(Undecided::MayCollide { pair: 0, step: 3, gap_m: -1e-300..=0.0 })

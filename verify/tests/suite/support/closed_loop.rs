@@ -2,7 +2,7 @@
 
 use crumple_verify::reach::{
     Activation, ControllerInput, FollowerLaw, FollowerModel, IdmLaw, LinearLayer, NetworkLayer, NeuralController,
-    ReachProblem, ResidualPolicy,
+    ReachProblem,
 };
 use num_traits::Float;
 
@@ -76,24 +76,6 @@ fn idm_acceleration(idm: &IdmLaw, [gap, v, ahead]: [f64; 3]) -> f64 {
     idm.accel_mps2 * (free - share * share)
 }
 
-/// Returns the command of a residual policy, and updates its rate-limited residual.
-fn residual_acceleration(
-    residual: &ResidualPolicy,
-    so_far: &mut f64,
-    action: f64,
-    [low, high]: [f64; 2],
-    step: f64,
-    seen: [f64; 3],
-) -> f64 {
-    let zone = residual.dead_zone;
-    let aim = if action.abs() <= zone { 0.0 } else { action.signum() * (action.abs() - zone) / (1.0 - zone) };
-    let most = residual.rate_per_s * step;
-    *so_far = aim.clamp(*so_far - most, *so_far + most);
-    let law = idm_acceleration(&residual.idm, seen).clamp(low, high);
-    let bound = if *so_far < 0.0 { low } else { high };
-    (law + so_far.abs() * (bound - law)).clamp(low, high)
-}
-
 /// Returns the command of a law for gap, own speed and ego speed, clipped to the vehicle's limits.
 fn law_acceleration(law: &FollowerLaw, set_speed: &mut Option<f64>, brake: f64, [gap, v, ahead]: [f64; 3]) -> f64 {
     let (wanted, most) = match law {
@@ -138,7 +120,7 @@ pub fn simulate_with_errors(
 ) -> (Vec<[f64; 8]>, [f64; 2]) {
     let ReachProblem { controller, follower, steps, decision_steps: every, step_s: h, .. } = *scene;
     let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, _, brake_r, _] = start;
-    let (mut set_speed, mut so_far) = (None, 0.0);
+    let mut set_speed = None;
     let (mut a_l, mut a_e, mut a_r, mut answer, mut fired) = (0.0, 0.0, 0.0, 0.0, false);
     let (mut trace, mut least) = (Vec::new(), [ahead, behind]);
     for k in 0..=steps {
@@ -151,14 +133,6 @@ pub fn simulate_with_errors(
             let error = error(k / every);
             answer = controller_output(controller, std::array::from_fn(|i| seen[i] + error[i]), follower.is_some());
         }
-        let wanted = match &controller.residual_over {
-            None => answer,
-            Some(residual) => {
-                let error = error(k / every);
-                let seen = [0, 3, 2].map(|i| seen[i] + error[i]);
-                residual_acceleration(residual, &mut so_far, answer, controller.action_bounds_mps2, h, seen)
-            }
-        };
         let wanted_r = match follower {
             Some(FollowerModel::Latched { ttc_s }) => {
                 fired |= behind - ttc_s * (v_r - v_e) < 0.0;
@@ -169,7 +143,7 @@ pub fn simulate_with_errors(
         };
         let held = |v: f64, a: f64| if v == 0.0 && a <= 0.0 { 0.0 } else { a };
         a_l = held(v_l, -brake_l(k));
-        a_e = held(v_e, wanted);
+        a_e = held(v_e, answer);
         a_r = held(v_r, wanted_r);
         let (moved_l, moved_e, moved_r);
         (moved_l, v_l) = advance(v_l, a_l, h);

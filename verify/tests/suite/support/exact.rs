@@ -8,7 +8,7 @@ use std::ops::{Add, Mul, Neg, Sub};
 use crumple_verify::Interval;
 use crumple_verify::reach::{
     Activation, ControllerInput, FollowerLaw, FollowerModel, IdmLaw, LinearLayer, NetworkLayer, NeuralController,
-    ReachProblem, ResidualPolicy,
+    ReachProblem,
 };
 use num_bigint::BigInt;
 
@@ -268,26 +268,6 @@ fn idm_acceleration(law: &IdmLaw, [gap, v, ahead]: [&FixedPointInterval; 3]) -> 
     of(law.accel_mps2) * (of(1.0) - squared(squared(part)) - squared(share))
 }
 
-/// Returns the command of a residual policy, and moves its residual in [-1, 1] towards the action, rate-limited.
-fn residual_acceleration(
-    residual: &ResidualPolicy,
-    so_far: &mut FixedPointInterval,
-    action: &FixedPointInterval,
-    [low, high]: [f64; 2],
-    step: &FixedPointInterval,
-    seen: [&FixedPointInterval; 3],
-) -> Result<FixedPointInterval, TooClose> {
-    let (zone, one, zero) =
-        (FixedPointInterval::from(residual.dead_zone), FixedPointInterval::from(1.0), FixedPointInterval::zero());
-    let beyond = |size: FixedPointInterval| (size - zone.clone()).max(&zero).over(&(one.clone() - zone.clone()));
-    let aim = if action.is_below(&zero)? { -beyond(-action.clone()) } else { beyond(action.clone()) };
-    let most = step.clone() * residual.rate_per_s.into();
-    *so_far = aim.max(&(so_far.clone() - most.clone())).min(&(so_far.clone() + most));
-    let law = idm_acceleration(&residual.idm, seen).clamp(low, high);
-    let (share, bound) = if so_far.is_below(&zero)? { (-so_far.clone(), low) } else { (so_far.clone(), high) };
-    Ok((one - share.clone()) * law + share * bound.into())
-}
-
 /// Returns the command of a law for gap, own speed and ego speed, clipped to the vehicle's limits.
 fn law_acceleration(
     law: &FollowerLaw,
@@ -355,7 +335,7 @@ pub fn simulate_exactly(
     let ReachProblem { controller, follower, steps, decision_steps: every, .. } = *scene;
     let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, brake_l, brake_r, onset] =
         start.map(FixedPointInterval::from);
-    let (step, mut set_speed, mut so_far) = (FixedPointInterval::from(scene.step_s), None, FixedPointInterval::zero());
+    let (step, mut set_speed) = (FixedPointInterval::from(scene.step_s), None);
     let zero = FixedPointInterval::zero;
     let (mut a_l, mut a_e, mut a_r, mut answer, mut fired) = (zero(), zero(), zero(), zero(), false);
     let (mut trace, mut least) = (Vec::new(), [ahead.clone(), behind.clone()]);
@@ -382,22 +362,6 @@ pub fn simulate_exactly(
             answer = controller_output(controller, &observed, follower.is_some());
             trace.push(seen.clone());
         }
-        let wants = match &controller.residual_over {
-            None => answer.clone(),
-            Some(residual) => {
-                // Observations at each step have their own error.
-                let error = error((k + steps) as usize);
-                let [gap, own, other] = [0, 3, 2].map(|i| seen[i].clone() + error[i].into());
-                residual_acceleration(
-                    residual,
-                    &mut so_far,
-                    &answer,
-                    controller.action_bounds_mps2,
-                    &step,
-                    [&gap, &own, &other],
-                )?
-            }
-        };
         let wants_r = match follower {
             Some(FollowerModel::Latched { ttc_s }) => {
                 fired = fired || behind.is_below(&((v_r.clone() - v_e.clone()) * ttc_s.into()))?;
@@ -415,7 +379,7 @@ pub fn simulate_exactly(
             }
         };
         let leader = advance(&v_l, &-brakes, &step)?;
-        let ego = advance(&v_e, &wants, &step)?;
+        let ego = advance(&v_e, &answer, &step)?;
         let behind_it = advance(&v_r, &wants_r, &step)?;
         if k < steps {
             for place in [0, 1] {

@@ -2,7 +2,7 @@
 
 use crumple_verify::reach::{
     Activation, ControllerInput, LinearLayer, NativePolicy, NetworkFileFormat, NetworkFileSource, NetworkLayer,
-    NeuralController, ResidualPolicy,
+    NeuralController,
 };
 use serde_json::{Value, json};
 
@@ -18,15 +18,6 @@ fn random_layer(inputs: usize, outputs: usize, gain: f64, numbers: &mut XorShift
 
 /// Creates a network like crumple's own, with gains of order one.
 pub fn native_network(widths: &[usize], gain: f64, seed: u64) -> NeuralController {
-    residual_network(widths, gain, seed, None)
-}
-
-pub fn residual_network(
-    widths: &[usize],
-    gain: f64,
-    seed: u64,
-    residual_over: Option<ResidualPolicy>,
-) -> NeuralController {
     let mut numbers = XorShiftRng(seed | 1);
     let sizes = [&[8], widths, &[1]].concat();
     NeuralController::from(NativePolicy {
@@ -36,7 +27,6 @@ pub fn residual_network(
         limit: 1.5,
         empty_gap_m: 80.0,
         action_bounds_mps2: [-7.5, 3.0],
-        residual_over,
         decision_interval_s: 0.1,
     })
 }
@@ -84,7 +74,6 @@ pub fn any_network_with_file(seed: u64) -> (NeuralController, Vec<u8>) {
         offset_mps2: -2.25,
         action_bounds_mps2: [low, 3.0],
         is_clipped: !is_bounded || low > -7.5,
-        residual_over: None,
         empty_gap_m: 80.0,
         decision_interval_s: 0.1,
         source: Some(NetworkFileSource { format: NetworkFileFormat::Onnx, sha256: "0".repeat(64) }),

@@ -235,7 +235,7 @@ fn divergence_stops_with_a_message() {
 fn divergence_is_detected_on_the_training_scenarios() {
     let mut config = small_config();
     config.environment.costs = TrainingConfig::preset("road").unwrap().environment.costs;
-    config.environment.costs.residual = 1.0;
+    config.environment.costs.far = 1.0;
     config.spaces =
         vec![TrainingSpace { space: "traffic".to_owned(), weight: 1.0, cost_multiplier: 500.0, uniform_share: 0.0 }];
     let largest = |source: Arc<dyn ScenarioSource>| {

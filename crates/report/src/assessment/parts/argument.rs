@@ -5,30 +5,22 @@
 
 use std::fmt::Write;
 
-use maud::{Markup, html};
-use serde::Serialize;
-
 use super::certificates::describe_estimator;
 use super::{AssessmentLimits, ClaimRow, ClaimSummary};
+use crate::assessment::AssessmentPlan;
 use crate::assessment::claims::{AssuranceClaim, ClaimStatus, Property, Strength};
-use crate::assessment::document::ReportDocument;
-use crate::assessment::markdown::Inline;
-use crate::assessment::prose::prose_to_html;
 use crate::assessment::table::CellMark;
-use crate::assessment::{AssessmentPlan, ReportPart};
 use crumple_core::quoting::TerminalText;
 
 /// The safety case, with elements in the order of their numbers.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Argument {
     /// Elements; the first one is the top goal.
     pub elements: Vec<GsnElement>,
 }
 
 /// One element of the notation.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[derive(Debug, Clone, PartialEq, Eq)]
 pub struct GsnElement {
     /// Identifier, whose letters state the kind.
     pub id: String,
@@ -51,9 +43,7 @@ pub struct GsnElement {
 }
 
 /// The kind of an element.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(rename_all = "snake_case")]
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum GsnElementKind {
     /// A claim.
@@ -277,14 +267,6 @@ impl Argument {
         }
         text
     }
-
-    pub(super) fn find(&self, id: &str) -> Option<&GsnElement> {
-        self.elements.iter().find(|element| element.id == id)
-    }
-
-    pub(super) fn challenges_to(&self, id: &str) -> impl Iterator<Item = &GsnElement> {
-        self.elements.iter().filter(move |element| element.challenges.as_deref() == Some(id))
-    }
 }
 
 impl GsnElement {
@@ -309,63 +291,5 @@ impl GsnElement {
             writeln!(out, "  url: {}", quoted(url))?;
         }
         Ok(())
-    }
-}
-
-const INTRODUCTION: &str = "The goals of the safety case in Goal Structuring Notation, each with its evidence: ✗ a \
-    goal that a counterexample defeats, or that rests on a defeated goal; ◇ a goal without evidence. \
-    assessment.gsn.yaml has the complete argument, with strategies, contexts and assumptions.";
-
-impl ReportPart for Argument {
-    fn anchor_and_title(&self) -> (&'static str, String) {
-        ("argument", "Argument".to_owned())
-    }
-
-    fn write(&self, out: &mut ReportDocument) {
-        out.paragraph(INTRODUCTION);
-        let mut entries = Vec::new();
-        if let Some(top) = self.elements.first() {
-            self.push_outline(top, 0, &mut entries);
-        }
-        out.outline(entries);
-    }
-}
-
-impl Argument {
-    fn push_outline(&self, goal: &GsnElement, depth: usize, entries: &mut Vec<(usize, Inline, Markup)>) {
-        let sign = match (goal.defeated, goal.undeveloped) {
-            (true, _) => "✗ ",
-            (_, true) => "◇ ",
-            _ => "",
-        };
-        let evidence = self.evidence_of(goal).map_or_else(String::new, |solution| format!(": {}", solution.text));
-        let words = format!(" {sign}{}{evidence}", goal.text);
-        let html = html! { b { (goal.id) } (prose_to_html(&words)) };
-        entries.push((depth, Inline::strong(&goal.id).and_prose(&words), html));
-        for next in self.goals_below(goal) {
-            self.push_outline(next, depth + 1, entries);
-        }
-    }
-
-    /// Returns the goals that support an element, also those below its strategies.
-    fn goals_below(&self, element: &GsnElement) -> Vec<&GsnElement> {
-        let mut goals = Vec::new();
-        for below in element.supported_by.iter().filter_map(|id| self.find(id)) {
-            match below.kind {
-                GsnElementKind::Goal => goals.push(below),
-                GsnElementKind::Strategy => goals.extend(self.goals_below(below)),
-                GsnElementKind::Solution | GsnElementKind::Context | GsnElementKind::Assumption => {}
-            }
-        }
-        goals
-    }
-
-    /// Returns the evidence of a goal, or of the counterexample that challenges it.
-    fn evidence_of(&self, goal: &GsnElement) -> Option<&GsnElement> {
-        let supports = |holder: &GsnElement| {
-            let mut below = holder.supported_by.iter().filter_map(|id| self.find(id));
-            below.find(|element| element.kind == GsnElementKind::Solution)
-        };
-        supports(goal).or_else(|| self.challenges_to(&goal.id).find_map(supports))
     }
 }

@@ -523,7 +523,6 @@ mod tests {
                 horizon_s: 15.0,
                 has_follower: true,
                 leader_brakes_at_most_mps2: None,
-                residual_over: None,
             })
         };
         let nothing = "no part of the box is verified, so no gap is bounded";

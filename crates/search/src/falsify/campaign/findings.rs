@@ -2,7 +2,6 @@
 
 use super::coverage::Coverage;
 use super::failures::Failures;
-use super::regions::LabelledPoints;
 use super::resolved_config::ResolvedConfig;
 use super::{EvaluatedPoint, FailureKind};
 use crate::falsify::Method;
@@ -34,8 +33,6 @@ pub(super) struct UnansweredPartnerRuns {
 pub(super) struct CampaignFindings {
     pub(super) method_results: Vec<MethodResults>,
     pub(super) failures: Failures,
-    /// The first points of the reference searches.
-    pub(super) sample: LabelledPoints,
 }
 
 impl MethodResults {
@@ -77,19 +74,12 @@ impl MethodResults {
 
 impl CampaignFindings {
     pub(super) fn new(terms: &ResolvedConfig) -> Self {
-        Self {
-            method_results: Vec::new(),
-            failures: Failures::new(terms.specification.clone()),
-            sample: LabelledPoints::default(),
-        }
+        Self { method_results: Vec::new(), failures: Failures::new(terms.specification.clone()) }
     }
 
     pub(super) fn add(&mut self, reached: &mut MethodResults, evaluated: &EvaluatedPoint) {
         let fails = FailureKind::from_verdict(&evaluated.verdict, &self.failures.specification).is_some();
         reached.add(evaluated, fails);
-        if reached.method.is_non_adaptive() && !self.sample.is_full() {
-            self.sample.add(evaluated.values.clone(), fails);
-        }
         self.failures.add(&reached.method, evaluated);
     }
 }

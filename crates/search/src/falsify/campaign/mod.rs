@@ -28,7 +28,6 @@ mod front;
 mod journal;
 mod objective;
 mod reader;
-mod regions;
 mod resolved_config;
 mod run;
 mod summarise;
@@ -41,7 +40,6 @@ pub use failures::{FailureCandidate, FailureKind};
 pub use front::FrontPoint;
 pub use objective::{SearchObjective, UnknownObjective};
 pub use reader::{CampaignReader, MAX_READ_EVALUATIONS};
-pub use regions::Region;
 pub(in crate::falsify) use resolved_config::ResolvedConfig;
 pub use run::{CAMPAIGN_KIND, CampaignProgress, verify_journal};
 pub use summary::{

@@ -21,7 +21,7 @@ impl CampaignSummary {
         findings: &CampaignFindings,
         counterexamples: Vec<Counterexample>,
     ) -> Result<Self, CampaignError> {
-        let CampaignFindings { method_results: reached, failures, sample } = findings;
+        let CampaignFindings { method_results: reached, failures } = findings;
         let record = &terms.record;
         let mut all = Coverage::new(terms.space.dimension());
         reached.iter().for_each(|reached| all.merge(&reached.coverage));
@@ -59,7 +59,6 @@ impl CampaignSummary {
                 .map(|kind| FailureKindSummary::from_failures(kind, terms, &counterexamples))
                 .collect(),
             front: failures.front.points(&terms.specification, &terms.nominal),
-            regions: sample.find_regions(&terms.space),
             avoidability: AvoidabilitySummary::from_counterexamples(&counterexamples),
             counterexamples,
         })

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use super::{CampaignError, CoveragePercentages, FrontPoint, Region, SearchObjective};
+use super::{CampaignError, CoveragePercentages, FrontPoint, SearchObjective};
 use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_core::quoting::TerminalText;
@@ -73,8 +73,6 @@ pub struct CampaignSummary {
     pub front: Vec<FrontPoint>,
     /// Coverage of the space.
     pub coverage: CoverageSummary,
-    /// Regions of failures, the densest first; empty if the reference searches found none, or only failures.
-    pub regions: Vec<Region>,
 }
 
 fn default_objective() -> String {
@@ -173,8 +171,6 @@ pub struct CoverageSummary {
     pub with_reference_searches: CoveragePercentages,
 }
 
-/// Maximum number of regions that are printed, in addition to the safest one.
-const MAX_SHOWN_REGIONS: usize = 3;
 const MAX_SHOWN_FRONT_POINTS: usize = 6;
 
 impl CampaignSummary {
@@ -336,41 +332,6 @@ impl CampaignSummary {
             }
         }
         self.write_front(out)?;
-        if !self.regions.is_empty() {
-            let points: usize = self.regions.iter().map(|region| region.points).sum();
-            let failing: usize = self.regions.iter().map(|region| region.failing).sum();
-            writeln!(
-                out,
-                "\n  regions with failures, as shares of the ranges of the space: {failing} of {points} points of the \
-                 reference searches fail"
-            )?;
-            let safest = self.regions.len() - 1;
-            let shown = |index: &usize| *index < MAX_SHOWN_REGIONS || *index == safest;
-            for (_, region) in self.regions.iter().enumerate().filter(|(index, _)| shown(index)) {
-                let conditions =
-                    if region.conditions.is_empty() { "everywhere".to_owned() } else { region.conditions.join(", ") };
-                writeln!(
-                    out,
-                    "  {:>5.1} % of {:>5.1} % fails ({} of {} points, {:.0} % of all failures): {conditions}",
-                    region.failing_percent,
-                    region.space_percent,
-                    region.failing,
-                    region.points,
-                    region.failures_percent
-                )?;
-            }
-            let hidden: Vec<_> = self.regions.iter().enumerate().filter(|(index, _)| !shown(index)).collect();
-            if !hidden.is_empty() {
-                let (points, failing) =
-                    hidden.iter().fold((0, 0), |(n, k), (_, region)| (n + region.points, k + region.failing));
-                let regions = if hidden.len() == 1 { "region" } else { "regions" };
-                writeln!(
-                    out,
-                    "  {} more {regions} in summary.json, in which {failing} of {points} points fail",
-                    hidden.len()
-                )?;
-            }
-        }
         let covered = |covered: &CoveragePercentages| {
             format!("{:.0} % and {:.0} %", covered.tenths_percent, covered.pairs_percent)
         };
