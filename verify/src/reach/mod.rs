@@ -3,10 +3,10 @@
 //! An ego vehicle drives behind a leader that brakes. A network decides the ego's acceleration. Behind the ego there
 //! may be a follower with a latched emergency brake or a control law. A *reach* statement bisects a box of initial
 //! states repeatedly. It claims that no member of some cells ever collides, and that other cells contain a member that
-//! collides. The check derives these claims again from the network file and the cuts alone. [`form`] has affine forms, and [`relax`] functions of them. [`controller`] bounds
-//! the network, with [`activation`] for its activation functions. [`braking`], [`leader`] and [`propagate`] bound the
-//! vehicles. Uncertainty is always enlarged, never dropped. Enclosures and their losses of tightness, with noise
-//! symbols as in [`form`]:
+//! collides. The check derives these claims again from the network file and the cuts alone. [`form`] has affine forms,
+//! and [`relax`] functions of them. [`controller`] bounds the network, with [`activation`] for its activation
+//! functions. [`braking`], [`leader`] and [`propagate`] bound the vehicles. Uncertainty is always enlarged, never
+//! dropped. Enclosures and their losses of tightness, with noise symbols as in [`form`]:
 //!
 //! - initial state: one symbol for each range, for the whole run; no loss;
 //! - ReLU that may be active or not on [l, h]: line and excess, a symbol within the decision; at most (h · -l)/(h - l);
