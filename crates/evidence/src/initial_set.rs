@@ -60,6 +60,9 @@ impl InitialSet {
                  and all must stay in the lane",
             ));
         }
+        if scenario.spec().sensors.faults.is_any() {
+            return Err(wrong("must have no sensor faults, which the checker does not model"));
+        }
         let (follower_ttc_s, follower_law) = match (rest, &spec.follower_drives) {
             ([], None) => (None, None),
             ([], Some(_)) => return Err(InvalidBox::field(FOLLOWER_FIELD, "has no meaning without a follower")),

@@ -6,7 +6,8 @@ use super::choices::Choices;
 use super::driver::{DRIVER_BYTES, make_scripted, read_driver};
 use super::shape::{MAX_VEHICLES, ScenarioShape};
 use crumple_world::scenario::{
-    Driver, Environment, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
+    Driver, Environment, GhostObject, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, SensorFaults, Sensors,
+    VehicleClass, VehicleSpec,
 };
 
 const ROAD_BYTES: usize = 24;
@@ -58,7 +59,7 @@ fn scenario_spec(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choi
     let steps = (DURATION_S / step_s * (1.0 - choices.up_to(1.0)).powi(3)).round().max(1.0);
     let friction = choices.optional(85, |choices| choices.around(1.0, [0.05, 1.0])).unwrap_or(1.0);
     let nominal = Sensors::default();
-    let sensors = Sensors {
+    let mut sensors = Sensors {
         position_noise_m: choices.around(nominal.position_noise_m, [0.0, 0.2]),
         gap_noise_m: choices.around(nominal.gap_noise_m, [0.0, 0.2]),
         dropout: match choices.byte() {
@@ -66,11 +67,13 @@ fn scenario_spec(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choi
             160..176 => 1.0,
             176.. => choices.up_to(0.5),
         },
+        faults: SensorFaults::default(),
     };
     let seed = choices.seed();
     let to_rear_m: f64 = vehicles.iter().skip(1).map(|vehicle| vehicle.position_m).sum();
     let lengths_m: f64 = vehicles.iter().rev().skip(1).map(VehicleSpec::length_m).sum();
     let rear_m = choices.around(0.0, [-1e4, 1e4]);
+    sensors.faults = read_faults(choices, steps * step_s);
     place_vehicles(&mut vehicles, rear_m + to_rear_m + lengths_m);
     ScenarioSpec {
         version: SCENARIO_VERSION,
@@ -82,6 +85,28 @@ fn scenario_spec(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choi
         environment: Environment { friction },
         sensors,
         vehicles,
+    }
+}
+
+/// Reads the faults of the gap sensors from two bytes: their size, and a bit for each fault.
+fn read_faults(choices: &mut Choices<'_>, duration_s: f64) -> SensorFaults {
+    let size = f64::from(choices.byte().saturating_sub(160)) / 95.0;
+    let kinds = if size > 0.0 { choices.byte() } else { 0 };
+    let of = |bit: u8, most: f64| if kinds >> bit & 1 == 1 { most * size } else { 0.0 };
+    SensorFaults {
+        latency_s: of(0, 0.5),
+        gap_bias_m: of(1, 3.0) - of(7, 6.0),
+        gap_resolution_m: of(2, 2.0),
+        outage_rate_per_s: of(3, 5.0),
+        outage_length_s: of(3, 1.0),
+        range_m: (kinds >> 4 & 1 == 1).then_some(1.0 + GAP_M * (1.0 - size)),
+        detection_delay_s: of(5, 1.0),
+        ghost: (kinds >> 6 & 1 == 1).then_some(GhostObject {
+            onset_s: 0.2 * duration_s,
+            duration_s: of(6, 0.5 * duration_s),
+            gap_m: 0.1 + of(6, GAP_M),
+            speed_mps: SPEED_MPS * (1.0 - size),
+        }),
     }
 }
 

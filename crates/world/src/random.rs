@@ -51,6 +51,10 @@ pub enum Purpose {
     DeterminismCheck = 16,
     /// Order of rows in a fit of a policy to an expert, one consumer per round.
     Imitation = 17,
+    /// Outages of the sensor of the gap ahead.
+    GapAheadOutage = 18,
+    /// Outages of the sensor of the gap behind.
+    GapBehindOutage = 19,
 }
 
 /// Returns the stream for `purpose` and its `index`-th consumer (a vehicle, a sample), under `seed`.

@@ -4,6 +4,7 @@ use std::sync::Arc;
 
 use rand_distr::{Distribution, StandardNormal};
 
+use super::gap_faults::GapFaults;
 use super::{Accelerometer, DistanceEstimate, Filter, KnownChange, Sensor, Tuning};
 use crate::observation::{Neighbour, Observation};
 use crate::random::{self, Purpose, Stream};
@@ -92,6 +93,8 @@ pub struct EgoEstimator {
     position: (Sensor, Filter),
     ahead: (Sensor, Option<Filter>),
     behind: (Sensor, Option<Filter>),
+    /// Faults of the sensors ahead and behind. Boxed, because most sensors have none.
+    faults: Option<Box<[GapFaults; 2]>>,
 }
 
 impl EgoEstimator {
@@ -110,14 +113,27 @@ impl EgoEstimator {
             position: (sensor(Purpose::PositionSensor, sensors.position_noise_m), position),
             ahead: (sensor(Purpose::GapAheadSensor, sensors.gap_noise_m), None),
             behind: (sensor(Purpose::GapBehindSensor, sensors.gap_noise_m), None),
+            faults: GapFaults::new(seed, vehicle, sensors, tuning.position.step_s()),
         };
-        estimator.switch_neighbours(truth, [true, true]);
+        if estimator.faults.is_none() {
+            estimator.start_filters(truth, [true, true]);
+        }
         estimator
     }
 
     /// Restarts the filters of the neighbours that `changed` ([ahead, behind]). They start in steady state, because
     /// sensors already track vehicles beside the lane.
     pub(crate) fn switch_neighbours(&mut self, truth: &TrueState, changed: [bool; 2]) {
+        match &mut self.faults {
+            None => self.start_filters(truth, changed),
+            Some(faults) => {
+                let sides = faults.iter_mut().zip(changed).filter(|(_, changed)| *changed);
+                sides.for_each(|(faults, _)| faults.switch_neighbour());
+            }
+        }
+    }
+
+    fn start_filters(&mut self, truth: &TrueState, changed: [bool; 2]) {
         let own = &truth.observation;
         let sides = [(&mut self.ahead, own.ahead, 1.0), (&mut self.behind, own.behind, -1.0)];
         for (((_, filter), neighbour, sign), _) in sides.into_iter().zip(changed).filter(|(_, changed)| *changed) {
@@ -135,6 +151,26 @@ impl EgoEstimator {
     /// Measures the true state of this step and returns the estimated observation.
     #[inline]
     pub fn observe(&mut self, truth: &TrueState) -> Observation {
+        if self.faults.is_some() { self.observe_with_faults(truth) } else { self.estimate(truth) }
+    }
+
+    /// Replaces the true neighbours by the targets that the faulty sensors report, and estimates their state.
+    #[cold]
+    fn observe_with_faults(&mut self, truth: &TrueState) -> Observation {
+        let mut sensed = *truth;
+        let mut changed = [false; 2];
+        if let Some([ahead, behind]) = self.faults.as_deref_mut() {
+            changed = [
+                ahead.sense(truth, &mut sensed.observation.ahead, 1.0),
+                behind.sense(truth, &mut sensed.observation.behind, -1.0),
+            ];
+        }
+        self.start_filters(&sensed, changed);
+        self.estimate(&sensed)
+    }
+
+    #[inline]
+    fn estimate(&mut self, truth: &TrueState) -> Observation {
         let tuning = &*self.tuning;
         let true_observation = &truth.observation;
         let change = self.accelerometer.measure_change(
@@ -143,21 +179,27 @@ impl EgoEstimator {
             true_observation.acceleration_mps2,
         );
         let (sensor, filter) = &mut self.position;
-        let own = measure((sensor, filter), &tuning.position, truth.position_m, (&change, 1.0));
+        let own = measure((sensor, filter), &tuning.position, truth.position_m, (&change, 1.0), None);
         let neighbour = |gap: DistanceEstimate, sign: f64| Neighbour {
             gap_m: gap.distance_m,
             speed_mps: (own.rate_mps + sign * gap.rate_mps).max(0.0),
             acceleration_mps2: own.acceleration_mps2 + sign * gap.acceleration_mps2,
         };
-        let estimate_gap = |(sensor, filter): &mut (Sensor, Option<Filter>), other: Option<Neighbour>, sign| {
-            let (filter, other) = filter.as_mut().zip(other)?;
-            Some(measure((sensor, filter), &tuning.gap, other.gap_m, (&change, sign)))
+        let [ahead_faults, behind_faults] = match self.faults.as_deref() {
+            Some([ahead, behind]) => [Some(ahead), Some(behind)],
+            None => [None; 2],
         };
+        let estimate_gap = |(sensor, filter): &mut (Sensor, Option<Filter>), other: Option<Neighbour>, sign, faults| {
+            let (filter, other) = filter.as_mut().zip(other)?;
+            Some(measure((sensor, filter), &tuning.gap, other.gap_m, (&change, sign), faults))
+        };
+        let ahead = estimate_gap(&mut self.ahead, true_observation.ahead, -1.0, ahead_faults);
+        let behind = estimate_gap(&mut self.behind, true_observation.behind, 1.0, behind_faults);
         Observation {
             speed_mps: own.rate_mps.max(0.0),
             acceleration_mps2: own.acceleration_mps2,
-            ahead: estimate_gap(&mut self.ahead, true_observation.ahead, -1.0).map(|gap| neighbour(gap, 1.0)),
-            behind: estimate_gap(&mut self.behind, true_observation.behind, 1.0).map(|gap| neighbour(gap, -1.0)),
+            ahead: ahead.map(|gap| neighbour(gap, 1.0)),
+            behind: behind.map(|gap| neighbour(gap, -1.0)),
         }
     }
 }
@@ -174,7 +216,9 @@ fn measure(
     tuning: &Tuning,
     distance_m: f64,
     (change, sign): (&KnownChange, f64),
+    faults: Option<&GapFaults>,
 ) -> DistanceEstimate {
     filter.feed_forward(tuning, change, sign);
-    filter.update(tuning, sensor.measure(distance_m))
+    let measured_m = sensor.measure(distance_m);
+    filter.update(tuning, faults.map_or(measured_m, |faults| faults.degrade(measured_m)))
 }

@@ -8,6 +8,7 @@
 mod accelerometer;
 mod ego;
 mod filter;
+mod gap_faults;
 mod sensor;
 
 pub use accelerometer::Accelerometer;

@@ -11,6 +11,7 @@ mod lane_change;
 mod named_fields;
 mod paper;
 mod profile;
+mod sensor_faults;
 pub mod space;
 mod speed_dip;
 mod validate;
@@ -27,6 +28,7 @@ pub use invalid::{AllowedRange, FieldProblem, InvalidField};
 pub use lane_change::LaneChange;
 pub use paper::{PAPER_STEP_S, PaperDistribution, built_in_scenario, built_in_scenario_names};
 pub use profile::{Brake, BrakeToSpeed, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds};
+pub use sensor_faults::{GhostObject, SensorFaults};
 pub use speed_dip::{SPEED_DIP_ONSET_S, speed_dip};
 pub(crate) use validate::MAX_VEHICLE_STEPS;
 pub use validate::{MAX_MULTIPLE, whole_multiple};
@@ -112,11 +114,14 @@ pub struct Sensors {
     /// Probability that a measurement is lost, independent for each sensor and step.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 1.0)))]
     pub dropout: f64,
+    /// Faults of the gap sensors. Default: none.
+    #[serde(skip_serializing_if = "is_default")]
+    pub faults: SensorFaults,
 }
 
 impl Default for Sensors {
     fn default() -> Self {
-        Self { position_noise_m: 0.02, gap_noise_m: 0.03, dropout: 0.0 }
+        Self { position_noise_m: 0.02, gap_noise_m: 0.03, dropout: 0.0, faults: SensorFaults::default() }
     }
 }
 

@@ -38,6 +38,9 @@ pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
     sensors.field("position_noise_m").check_number(spec.sensors.position_noise_m, range_from(0.0, 10.0))?;
     sensors.field("gap_noise_m").check_number(spec.sensors.gap_noise_m, range_from(0.0, 10.0))?;
     sensors.field("dropout").check_number(spec.sensors.dropout, range_from(0.0, 1.0))?;
+    for (path, value, [least, most]) in spec.sensors.faults.limits() {
+        sensors.field("faults").field(path).check_number(value, range_from(least, most))?;
+    }
     root.field("vehicles").check_length(spec.vehicles.len(), 2, 1000, "vehicles")?;
     let found = steps.saturating_mul(spec.vehicles.len());
     if found > MAX_VEHICLE_STEPS {
@@ -279,7 +282,7 @@ impl<'a> FieldPath<'a> {
 
 #[cfg(test)]
 mod tests {
-    use super::super::{Scenario, built_in_scenario};
+    use super::super::{GhostObject, Scenario, built_in_scenario};
 
     fn field_of(change: impl FnOnce(&mut super::ScenarioSpec)) -> String {
         let paper_1 = built_in_scenario("paper-1").expect("built in");
@@ -297,6 +300,9 @@ mod tests {
         assert_eq!(field_of(|s| s.seed = u64::MAX), "seed");
         assert_eq!(field_of(|s| s.environment.friction = 0.0), "environment.friction");
         assert_eq!(field_of(|s| s.sensors.dropout = 1.5), "sensors.dropout");
+        assert_eq!(field_of(|s| s.sensors.faults.latency_s = -0.1), "sensors.faults.latency_s");
+        let near = GhostObject { onset_s: 0.0, duration_s: 1.0, gap_m: 0.0, speed_mps: 0.0 };
+        assert_eq!(field_of(|s| s.sensors.faults.ghost = Some(near)), "sensors.faults.ghost.gap_m");
         assert_eq!(field_of(|s| s.vehicles.truncate(1)), "vehicles");
         assert_eq!(field_of(|s| s.vehicles[1].position_m = 35.0), "vehicles[1].position_m");
         assert_eq!(field_of(|s| s.vehicles[2].length_m = Some(-2.0)), "vehicles[2].length_m");

@@ -35,6 +35,9 @@ pub enum ShieldRefusal {
         `shield,gap-error=0.5,speed-error=0.5,ahead-speed-error=1:policy`"
     )]
     Dropout,
+    /// Delayed, missing or false targets are no bounded errors.
+    #[error("its sensors have faults, which the kernel does not cover: remove `sensors.faults`")]
+    SensorFaults,
     /// Rounding may decrease the gap by more than the margin covers.
     #[error(
         "rounding may take up to {rounding_m} m of the gap in runs so long, at positions up to {} m, which a margin \
@@ -105,6 +108,9 @@ impl Run {
         let ahead_brake_mps2 = dry_mps2 * spec.environment.friction + ahead.map_or(0.0, noise_bound_mps2);
         let ahead_accel_mps2 = ahead.map_or(0.0, |ahead| ahead.max_accel_mps2() + noise_bound_mps2(ahead));
         let accel_mps2 = own.max_accel_mps2();
+        if spec.sensors.faults.is_any() && self.options().estimator == EstimatorKind::Kalman {
+            return Err(ShieldRefusal::SensorFaults);
+        }
         let errors = match (settings.errors, self.options().estimator) {
             (Some(errors), _) => errors,
             (None, EstimatorKind::Truth) => ErrorBounds::default(),

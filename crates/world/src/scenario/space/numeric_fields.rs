@@ -1,7 +1,7 @@
 //! Numeric fields of a scenario that may vary, by path.
 
 use super::field::VehicleField;
-use crate::scenario::{Driver, LaneChange, LeadProfile, PiecewiseAcceleration, ScenarioSpec, VehicleSpec};
+use crate::scenario::{Driver, GhostObject, LaneChange, LeadProfile, PiecewiseAcceleration, ScenarioSpec, VehicleSpec};
 
 /// Path after `vehicles[i].`, unit, and accessor.
 pub(super) type VehicleNumericField = (&'static str, &'static str, fn(&mut VehicleSpec) -> &mut f64);
@@ -22,12 +22,27 @@ pub(super) const VEHICLE_FIELDS: [VehicleNumericField; 11] = [
 
 pub(super) type ScenarioNumericField = (&'static str, &'static str, fn(&mut ScenarioSpec) -> &mut f64);
 
-pub(super) const SCENARIO_FIELDS: [ScenarioNumericField; 4] = [
+pub(super) const SCENARIO_FIELDS: [ScenarioNumericField; 15] = [
     ("environment.friction", "1", |s| &mut s.environment.friction),
     ("sensors.position_noise_m", "m", |s| &mut s.sensors.position_noise_m),
     ("sensors.gap_noise_m", "m", |s| &mut s.sensors.gap_noise_m),
     ("sensors.dropout", "1", |s| &mut s.sensors.dropout),
+    ("sensors.faults.latency_s", "s", |s| &mut s.sensors.faults.latency_s),
+    ("sensors.faults.gap_bias_m", "m", |s| &mut s.sensors.faults.gap_bias_m),
+    ("sensors.faults.gap_resolution_m", "m", |s| &mut s.sensors.faults.gap_resolution_m),
+    ("sensors.faults.outage_rate_per_s", "1/s", |s| &mut s.sensors.faults.outage_rate_per_s),
+    ("sensors.faults.outage_length_s", "s", |s| &mut s.sensors.faults.outage_length_s),
+    ("sensors.faults.range_m", "m", |s| s.sensors.faults.range_m.get_or_insert(1e4)),
+    ("sensors.faults.detection_delay_s", "s", |s| &mut s.sensors.faults.detection_delay_s),
+    ("sensors.faults.ghost.onset_s", "s", |s| &mut ghost_mut(s).onset_s),
+    ("sensors.faults.ghost.duration_s", "s", |s| &mut ghost_mut(s).duration_s),
+    ("sensors.faults.ghost.gap_m", "m", |s| &mut ghost_mut(s).gap_m),
+    ("sensors.faults.ghost.speed_mps", "m/s", |s| &mut ghost_mut(s).speed_mps),
 ];
+
+fn ghost_mut(spec: &mut ScenarioSpec) -> &mut GhostObject {
+    spec.sensors.faults.ghost.get_or_insert(GhostObject::NEVER)
+}
 
 pub(super) type DriverNumericField = (&'static str, &'static str, fn(&mut Driver) -> Option<&mut f64>);
 
