@@ -2,9 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-/// Faults of both gap sensors of a vehicle under test. By default there are none.
-///
-/// [`EstimatorKind::Truth`](crate::observation::EstimatorKind::Truth) ignores them.
+/// Faults of both gap sensors of a vehicle under test. By default there are none. The estimator `truth` ignores them.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(default, deny_unknown_fields)]
@@ -38,7 +36,7 @@ pub struct SensorFaults {
 
 /// An object that the sensor of the gap ahead reports although it does not exist.
 ///
-/// It keeps its speed. The sensor reports it while it is nearer than the leader and not yet passed.
+/// The object keeps its speed. The sensor reports it while it is nearer than the leader and not yet passed.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]
