@@ -166,3 +166,6 @@ impl Outages {
         self.is_lost ^= self.stream.random::<f64>() < self.change[usize::from(self.is_lost)];
     }
 }
+
+#[cfg(test)]
+mod tests;

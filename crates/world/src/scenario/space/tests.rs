@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use super::*;
 use crate::control::ControllerSpec;
 use crate::measure::UsefulnessMeasures;
-use crate::scenario::{Driver, LeadProfile, PaperDistribution};
+use crate::scenario::{Driver, GhostObject, LeadProfile, PaperDistribution, SensorFaults};
 use crate::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 fn space(name: &str) -> ScenarioSpace {
@@ -146,6 +146,20 @@ fn dependent_speeds_and_gaps_match_their_definition() {
         let closing_s = drawn.initial_gap_m(1).unwrap() / ego;
         assert!(lead == 0.0 && (2.8..=36.1).contains(&ego) && (1.999..=12.001).contains(&closing_s));
     }
+}
+
+#[test]
+fn sensor_faults_vary() {
+    let parameters = [
+        parameter("sensors.faults.latency_s", "s", "distribution.uniform = { low = 0, high = 0.5 }"),
+        parameter("sensors.faults.range_m", "m", "distribution.uniform = { low = 20, high = 200 }\nnominal = 100"),
+        parameter("sensors.faults.ghost.duration_s", "s", "distribution.uniform = { low = 0, high = 2 }"),
+    ];
+    let space = over_paper_1(&parameters.concat()).unwrap();
+    let scenario = space.scenario(&[0.2, 80.0, 1.5]).unwrap();
+    let ghost = GhostObject { onset_s: 0.0, duration_s: 1.5, gap_m: 50.0, speed_mps: 0.0 };
+    let expected = SensorFaults { latency_s: 0.2, range_m: Some(80.0), ghost: Some(ghost), ..SensorFaults::default() };
+    assert_eq!(scenario.spec().sensors.faults, expected);
 }
 
 #[test]

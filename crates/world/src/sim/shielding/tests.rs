@@ -260,6 +260,8 @@ fn assumptions_match_the_scenario() {
     let blind = scenario(&|spec| spec.sensors.dropout = 0.1);
     assert_eq!(asked(&blind, EstimatorKind::Kalman).0, Err(ShieldRefusal::Dropout));
     assert!(asked(&blind, EstimatorKind::Truth).0.is_ok());
+    let late = scenario(&|spec| spec.sensors.faults.latency_s = 0.1);
+    assert_eq!(asked(&late, EstimatorKind::Kalman).0, Err(ShieldRefusal::SensorFaults));
 }
 
 /// A shield of a controller that never brakes intervenes from a step of the run on until its end.
