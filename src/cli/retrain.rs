@@ -15,7 +15,7 @@ use crumple_learn::retrain::{
     Checkpoint, RetrainError, RetrainingPlan, RetrainingProgress, RetrainingReport, RetrainingSettings, Round,
     SearchedSpaces, training_preset,
 };
-use crumple_learn::rl::TrainingConfig;
+use crumple_learn::rl::{TrainingConfig, unsuitability};
 use crumple_report::figures::{RetrainingRound, SelectedCheckpoint, draw_retraining};
 use crumple_search::falsify::Method;
 use crumple_world::scenario::space::{BUILT_IN_SPACES, ScenarioSpace, built_in_space};
@@ -58,7 +58,7 @@ pub(super) struct Retrain {
     space: Vec<String>,
     /// Scenario that each round also attacks, as it is and with the leader's worst-case braking: built-in, a file, or a
     /// folder, for example of collisions that a fuzz target wrote; may be repeated, `none` for none
-    /// [default: the paper's scenarios with an imitation, otherwise none]
+    /// [default: paper-1 and paper-2 with an imitation, otherwise none]
     #[arg(long, value_name = "F")]
     scenario: Vec<String>,
     /// Training preset: `retrain`, a preset of `crumple train`, or a TOML file like theirs
@@ -146,7 +146,7 @@ impl Retrain {
             initial_policy: first,
             initial_policy_name: name.clone(),
             spaces,
-            attacked: load_attacked(&self.scenario, training.imitation.is_some())?,
+            attacked: load_attacked(&self.scenario, training.imitation.is_some(), quiet)?,
             regression_spaces,
             training,
             method: self.method,
@@ -220,11 +220,13 @@ fn check_accepted(report: &RetrainingReport) -> Result<(), CliError> {
     Err(CliError::Gate(format!("no round was accepted: `{}` is unchanged", report.first)))
 }
 
-/// Loads the scenarios of `--scenario`, by default those of the paper if the policy `imitates` an expert.
-fn load_attacked(names: &[String], imitates: bool) -> Result<Vec<Scenario>, CliError> {
+/// Loads the scenarios of `--scenario`, by default those of the paper if the policy `imitates` an expert. Scenarios of a
+/// folder that no policy can be trained on are left out.
+fn load_attacked(names: &[String], imitates: bool, quiet: bool) -> Result<Vec<Scenario>, CliError> {
+    let is_suitable = |scenario: &Scenario| unsuitability(scenario).is_none();
     if names.is_empty() {
         let names = built_in_scenario_names().map(|(name, _)| name).into_iter().filter(|_| imitates);
-        return Ok(names.filter_map(built_in_scenario).collect());
+        return Ok(names.filter_map(built_in_scenario).filter(is_suitable).collect());
     }
     if names.iter().any(|name| name == "none") {
         return match names.len() {
@@ -235,9 +237,21 @@ fn load_attacked(names: &[String], imitates: bool) -> Result<Vec<Scenario>, CliE
     let mut scenarios = Vec::new();
     for name in names {
         if Path::new(name).is_dir() {
-            scenarios.extend(file::load_all(Path::new(name))?.into_iter().map(|(_, scenario)| scenario));
+            let all = file::load_all(Path::new(name))?;
+            let before = scenarios.len();
+            scenarios.extend(all.iter().map(|(_, scenario)| scenario.clone()).filter(is_suitable));
+            let used = scenarios.len() - before;
+            if used < all.len() {
+                let first = all.iter().find_map(|(path, scenario)| Some((path, unsuitability(scenario)?)));
+                let reason = first.map_or_else(String::new, |(path, reason)| format!(": {}: {reason}", path.display()));
+                output::note(&format!("{name}: uses {used} of {} scenarios{reason}", all.len()), quiet);
+            }
         } else {
-            scenarios.push(args::load_scenario(name)?);
+            let scenario = args::load_scenario(name)?;
+            if let Some(reason) = unsuitability(&scenario) {
+                return Err(CliError::Input(format!("--scenario: `{name}` cannot be trained on: {reason}")));
+            }
+            scenarios.push(scenario);
         }
     }
     Ok(scenarios)
