@@ -220,8 +220,8 @@ fn check_accepted(report: &RetrainingReport) -> Result<(), CliError> {
     Err(CliError::Gate(format!("no round was accepted: `{}` is unchanged", report.first)))
 }
 
-/// Loads the scenarios of `--scenario`, by default those of the paper if the policy `imitates` an expert. Scenarios of a
-/// folder that no policy can be trained on are left out.
+/// Loads the scenarios of `--scenario`, by default those of the paper if the policy `imitates` an expert. Leaves out
+/// scenarios of a folder that no policy can be trained on.
 fn load_attacked(names: &[String], imitates: bool, quiet: bool) -> Result<Vec<Scenario>, CliError> {
     let is_suitable = |scenario: &Scenario| unsuitability(scenario).is_none();
     if names.is_empty() {
