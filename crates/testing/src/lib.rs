@@ -1,0 +1,3 @@
+//! Property tests of driving controllers.
+
+pub mod generator;
