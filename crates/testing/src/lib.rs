@@ -1,3 +1,26 @@
-//! Property tests of driving controllers.
+//! Property tests of driving controllers, for `cargo test` and for fuzzers.
+//!
+//! | item | content |
+//! |---|---|
+//! | [`check`] | tests a controller in scenarios, in a plain `#[test]` |
+//! | [`Scenarios`] | families of scenarios: a strategy of proptest, and scenarios from the bytes of a fuzzer |
+//! | [`Property`] | properties that a controller must have in every scenario |
+//! | [`generator`] | the generator of arbitrary scenarios, for crumple's own tests, too |
+#![doc = include_str!("../README.md")]
+#![cfg_attr(doctest, doc = include_str!("../../../docs/testing.md"))]
 
+mod check;
+mod controller;
+mod drawing;
 pub mod generator;
+mod near;
+mod property;
+mod scenarios;
+mod shrink;
+
+pub use check::{Check, CheckError, CheckSummary, PropertyFailure, check};
+pub use controller::{ControllerUnderTest, StatelessController, stateless};
+pub use crumple_search::falsify::MetamorphicRelation;
+pub use crumple_world as world;
+pub use property::{Judgement, Property};
+pub use scenarios::{ScenarioTree, Scenarios, ScenariosError};

@@ -103,7 +103,7 @@ fn scenario_spec(step_s: f64, mut vehicles: Vec<VehicleSpec>, choices: &mut Choi
 }
 
 /// Converts each position but the first from a gap into a position on the road, behind a leader at `leader_m`.
-fn place_vehicles(vehicles: &mut [VehicleSpec], leader_m: f64) {
+pub(crate) fn place_vehicles(vehicles: &mut [VehicleSpec], leader_m: f64) {
     let mut rear_bumper_m = None;
     for vehicle in vehicles {
         vehicle.position_m = rear_bumper_m.map_or(leader_m, |rear_bumper_m| rear_bumper_m - vehicle.position_m);

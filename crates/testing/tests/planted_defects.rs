@@ -1,0 +1,66 @@
+//! Planted defects are found, and their scenarios shrink to few changes.
+
+use crumple_testing::world::observation::Observation;
+use crumple_testing::{CheckError, MetamorphicRelation, Property, PropertyFailure, check, stateless};
+
+/// The Intelligent Driver Model, with up to 9 m/s² of braking.
+fn sound(seen: &Observation) -> f64 {
+    let free = 1.0 - (seen.speed_mps / 33.0).powi(4);
+    let Some(ahead) = seen.ahead else { return free };
+    let closing_mps = seen.speed_mps - ahead.speed_mps;
+    let wanted_m = 2.0 + (1.2 * seen.speed_mps + seen.speed_mps * closing_mps / 2.4).max(0.0);
+    (free - (wanted_m / ahead.gap_m.max(0.1)).powi(2)).clamp(-9.0, 1.5)
+}
+
+type Defect = fn(&Observation) -> f64;
+
+fn gap_m(seen: &Observation) -> f64 {
+    seen.ahead.map_or(f64::INFINITY, |ahead| ahead.gap_m)
+}
+
+fn is_closing(seen: &Observation) -> bool {
+    seen.ahead.is_some_and(|ahead| ahead.speed_mps < seen.speed_mps)
+}
+
+fn failure_of(defect: Defect, space: &str, property: &Property) -> Box<PropertyFailure> {
+    let folder = tempfile::tempdir().unwrap();
+    let test = |decide: Defect| check(stateless(decide)).on(space).property(property.clone()).corpus(folder.path());
+    test(sound).cases(100).run().unwrap();
+    let first = test(defect).cases(500).run();
+    let Err(CheckError::Violated(failure)) = first else { panic!("{}: {first:?}", property.name()) };
+    assert!(failure.file.with_extension("svg").exists());
+    // The next run judges the written scenario first.
+    let Err(CheckError::Violated(again)) = test(defect).run() else { panic!("a corpus without a failure") };
+    assert_eq!((&again.file, &again.scenario, &again.finding), (&failure.file, &failure.scenario, &failure.finding));
+    failure
+}
+
+#[test]
+fn ten_planted_defects_shrink_to_few_changes() {
+    let not_worse = || Property::not_worse_than(stateless(sound));
+    let planted: [(&str, Property, Defect); 10] = [
+        ("high-risk", not_worse(), |seen| if seen.speed_mps > 30.0 { 0.0 } else { sound(seen) }),
+        ("high-risk", not_worse(), |seen| if gap_m(seen) > 40.0 { 0.0 } else { sound(seen) }),
+        ("high-risk", not_worse(), |seen| sound(seen).max(-2.5)),
+        ("high-risk", not_worse(), |seen| if is_closing(seen) { 0.5 * sound(seen) } else { sound(seen) }),
+        ("high-risk", Property::deterministic(), |seen| if gap_m(seen) < 3.0 { f64::NAN } else { sound(seen) }),
+        ("high-risk", Property::deterministic(), |seen| {
+            assert!(seen.speed_mps < 35.0, "a table ends at 35 m/s");
+            sound(seen)
+        }),
+        ("traffic", Property::no_unnecessary_braking(), |seen| {
+            if seen.behind.is_some_and(|behind| behind.gap_m < 15.0) { -6.0 } else { sound(seen) }
+        }),
+        ("traffic", Property::bounded_jerk(25.0), |seen| if seen.speed_mps < 12.0 { -4.0 } else { sound(seen) }),
+        ("traffic", Property::specification("always v1.speed_mps < 36"), |seen| {
+            if gap_m(seen) > 50.0 { 1.5 } else { sound(seen) }
+        }),
+        ("high-risk", Property::metamorphic(MetamorphicRelation::LargerGap { by_m: 5.0 }), |seen| {
+            if (20.0..30.0).contains(&gap_m(seen)) { 2.0 } else { sound(seen) }
+        }),
+    ];
+    let failures = planted.map(|(space, property, defect)| failure_of(defect, space, &property));
+    let few = failures.iter().filter(|failure| failure.changes.len() <= 2).count();
+    let changes: Vec<_> = failures.iter().map(|failure| &failure.changes).collect();
+    assert!(few >= 8, "{few} of 10: {changes:#?}");
+}
