@@ -199,20 +199,40 @@ impl Check {
         }
     }
 
+    /// Judges the scenario of a fuzzer's input and panics if a property is violated.
+    ///
+    /// # Panics
+    /// For a [`CheckError`], after shrinking; the scenario is in the corpus.
+    #[expect(clippy::panic, reason = "fuzzers report panics")]
+    pub fn assert_input(&self, bytes: &[u8]) {
+        let scenarios = self.scenarios.as_ref().unwrap_or_else(|error| panic!("{error}"));
+        for property in &self.properties() {
+            if let Judgement::Violated(_) = self.judge(property, &scenarios.read(bytes)) {
+                let count = "an input of a fuzzer violates it".to_owned();
+                match self.shrink_and_write(property, scenarios, bytes, count) {
+                    Ok(failure) => panic!("{failure}"),
+                    Err(error) => panic!("{error}"),
+                }
+            }
+        }
+    }
+
+    fn properties(&self) -> Vec<Property> {
+        if self.properties.is_empty() { vec![Property::no_avoidable_collision()] } else { self.properties.clone() }
+    }
+
     /// Judges the scenarios of the corpus and then random ones.
     ///
     /// # Errors
     /// [`CheckError`], for the first violated property of the first scenario.
     pub fn run(mut self) -> Result<CheckSummary, CheckError> {
+        let properties = self.properties();
         let scenarios = std::mem::replace(&mut self.scenarios, Ok(Scenarios::any()))?;
-        if self.properties.is_empty() {
-            self.properties.push(Property::no_avoidable_collision());
-        }
         let replayed = env::var_os(REPLAY).map(PathBuf::from);
         let known = replayed.as_deref().unwrap_or(&self.corpus);
         let known = if known.exists() || replayed.is_some() { load_all(known)? } else { Vec::new() };
         for (file, scenario) in known {
-            for property in &self.properties {
+            for property in &properties {
                 if let Judgement::Violated(finding) = self.judge(property, &scenario) {
                     let shrunk = ShrunkScenario { scenario, changes: Vec::new() };
                     let count = "a scenario of the corpus".to_owned();
@@ -225,12 +245,13 @@ impl Check {
             .map(|case| scenarios.random_bytes(&mut stream(self.seed, Purpose::ScenarioSampling, case)))
             .collect();
         let mut summary = CheckSummary { judged: 0, not_applicable: 0 };
-        for property in &self.properties {
+        for property in &properties {
             let judged: Vec<_> = all.par_iter().map(|bytes| self.judge(property, &scenarios.read(bytes))).collect();
             let is_violated = |judgement: &Judgement| matches!(judgement, Judgement::Violated(_));
             if let Some(bytes) = judged.iter().position(is_violated).and_then(|first| all.get(first)) {
                 let failing = judged.iter().filter(|judgement| is_violated(judgement)).count();
-                return Err(self.shrink_and_write(property, &scenarios, bytes, failing)?.into());
+                let count = format!("{failing} of {} cases violate it (seed {})", self.cases, self.seed);
+                return Err(self.shrink_and_write(property, &scenarios, bytes, count)?.into());
             }
             let mut reasons = judged.iter().filter_map(|judgement| match judgement {
                 Judgement::NotApplicable(reason) => Some(reason),
@@ -262,7 +283,7 @@ impl Check {
         property: &Property,
         scenarios: &Scenarios,
         bytes: &[u8],
-        failing: usize,
+        count: String,
     ) -> Result<Box<PropertyFailure>, CheckError> {
         let mut simulated = 0;
         let mut shrunk = shrink(scenarios, bytes, &mut |scenario| {
@@ -278,10 +299,7 @@ impl Check {
         let slug = property.name().replace(|letter: char| !letter.is_ascii_alphanumeric(), "-");
         let name = format!("{}-{}", slug.get(..40).unwrap_or(&slug), sha256(&text).get(..8).unwrap_or_default());
         let file = self.corpus.join(name).with_extension("toml");
-        let count = format!(
-            "{failing} of {} cases violate it (seed {}); shrunk by {simulated} simulations",
-            self.cases, self.seed
-        );
+        let count = format!("{count}; shrunk by {simulated} judgements");
         let write = || {
             fs::create_dir_all(&self.corpus)?;
             let curves = self.curves(&shrunk.scenario);

@@ -6,7 +6,6 @@
 //! | [`Scenarios`] | families of scenarios: a strategy of proptest, and scenarios from the bytes of a fuzzer |
 //! | [`Property`] | properties that a controller must have in every scenario |
 //! | [`generator`] | the generator of arbitrary scenarios, for crumple's own tests, too |
-#![doc = include_str!("../README.md")]
 #![cfg_attr(doctest, doc = include_str!("../../../docs/testing.md"))]
 
 mod check;

@@ -25,9 +25,9 @@ pub(super) fn shrink(scenarios: &Scenarios, bytes: &[u8], holds: &mut dyn FnMut(
     match scenarios.0.as_ref() {
         Family::Any => {
             let bytes = shrink_bytes(bytes, &mut |bytes| holds(&scenarios.read(bytes)));
-            let scenario = round_numbers(scenarios.read(&bytes), holds);
             // The first byte is the number of vehicles.
-            let nominal = scenarios.read(bytes.get(..1).unwrap_or_default());
+            let nominal = numbers(&scenarios.read(bytes.get(..1).unwrap_or_default()));
+            let scenario = round_numbers(scenarios.read(&bytes), &nominal, holds);
             ShrunkScenario { changes: changed_numbers(&nominal, &scenario), scenario }
         }
         Family::Space(space) => {
@@ -86,9 +86,13 @@ fn clear_block(current: &mut Vec<u8>, block: std::ops::Range<usize>, holds: &mut
     }
 }
 
-/// Rounds each number of a scenario to the fewest decimals for which `holds`.
-fn round_numbers(mut scenario: Scenario, holds: &mut dyn FnMut(&Scenario) -> bool) -> Scenario {
-    for (path, value) in numbers(&scenario) {
+/// Rounds each number that is not nominal to the fewest decimals for which `holds`.
+fn round_numbers(
+    mut scenario: Scenario,
+    nominal: &[(String, f64)],
+    holds: &mut dyn FnMut(&Scenario) -> bool,
+) -> Scenario {
+    for (path, value) in numbers(&scenario).into_iter().filter(|number| !nominal.contains(number)) {
         for rounded in rounder_values(value) {
             if (rounded - value).abs() > MAX_ROUNDING_SHARE * value.abs() {
                 continue;
@@ -102,9 +106,8 @@ fn round_numbers(mut scenario: Scenario, holds: &mut dyn FnMut(&Scenario) -> boo
     scenario
 }
 
-fn changed_numbers(nominal: &Scenario, scenario: &Scenario) -> Vec<String> {
-    let before = numbers(nominal);
-    let changed = numbers(scenario).into_iter().filter(|number| !before.contains(number));
+fn changed_numbers(nominal: &[(String, f64)], scenario: &Scenario) -> Vec<String> {
+    let changed = numbers(scenario).into_iter().filter(|number| !nominal.contains(number));
     changed.map(|(path, value)| format!("{} {value}", path.trim_start_matches('/'))).collect()
 }
 
