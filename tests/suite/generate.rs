@@ -1,7 +1,7 @@
 //! Random scenarios for the property tests.
 //!
-//! [`crumple_testing::generator`] reads all of them from random bytes, as for the fuzzer. Bytes shrink to zero, and zero bytes are
-//! paper-1.
+//! [`crumple_testing::generator`] reads all of them from random bytes, as for the fuzzer. Bytes shrink to zero, and
+//! zero bytes are paper-1.
 
 use arbitrary::Unstructured;
 pub(crate) use crumple_cases::with_cases;

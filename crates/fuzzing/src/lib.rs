@@ -1,9 +1,9 @@
 //! Property tests and fuzz targets of crumple: invariants that must hold in every simulation.
 //!
 //! A test case is a scenario of [`crumple_testing::generator`] and a setup, both from bytes. No bytes, or zero bytes,
-//! give the paper's scenario 1 with the baseline controller. Oracles check a [`TestCase`] and return an [`OracleOutcome`] or a [`Violation`] with a scenario file
-//! that reproduces it. [`targets`] are complete fuzz targets, which the test suite replays without a fuzzer.
-//! [`behaviour`] provides feedback for fuzzers beyond code coverage.
+//! give the paper's scenario 1 with the baseline controller. Oracles check a [`TestCase`] and return an
+//! [`OracleOutcome`] or a [`Violation`] with a scenario file that reproduces it. [`targets`] are complete fuzz targets,
+//! which the test suite replays without a fuzzer. [`behaviour`] provides feedback for fuzzers beyond code coverage.
 //!
 //! For crumple's own tests and fuzzers; the API is not stable.
 

@@ -15,7 +15,7 @@ use rayon::prelude::*;
 
 use super::generator::with_compatible_step;
 use super::shrink::{ShrunkScenario, shrink};
-use super::{ControllerUnderTest, Judgement, Property, Scenarios, ScenariosError, drawing};
+use super::{ControllerUnderTest, Property, PropertyVerdict, Scenarios, ScenariosError, drawing};
 
 const DEFAULT_CASES: u32 = 256;
 /// Environment variables: number of cases and seed of every check, and a scenario file that replaces all cases.
@@ -28,7 +28,7 @@ const REPLAY: &str = "CRUMPLE_TEST_REPLAY";
 /// One seed determines all scenarios, for any number of threads.
 #[derive(Debug)]
 #[must_use]
-pub struct Check {
+pub struct ControllerCheck {
     controller: ControllerUnderTest,
     scenarios: Result<Scenarios, ScenariosError>,
     properties: Vec<Property>,
@@ -41,7 +41,7 @@ pub struct Check {
 /// finds, an `Arc` of a [`ControllerSource`](crumple_world::control::ControllerSource), or a function
 /// ([`stateless`](super::stateless)).
 ///
-/// It has 256 cases in any scenarios, and by default the property [`Property::no_avoidable_collision`].
+/// The test has 256 cases in any scenarios, and by default the property [`Property::no_avoidable_collision`].
 ///
 /// ```
 /// use crumple_testing::{Property, check, stateless};
@@ -50,9 +50,9 @@ pub struct Check {
 /// # let brake = brake.corpus(std::env::temp_dir().join("crumple-testing-doctest"));
 /// assert!(brake.run().unwrap_err().to_string().contains("no unnecessary braking"));
 /// ```
-pub fn check(controller: impl Into<ControllerKind>) -> Check {
+pub fn check(controller: impl Into<ControllerKind>) -> ControllerCheck {
     let folder = env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from).unwrap_or_default();
-    Check {
+    ControllerCheck {
         controller: ControllerUnderTest { kind: controller.into(), estimator: EstimatorKind::default() },
         scenarios: Ok(Scenarios::any()),
         properties: Vec::new(),
@@ -65,8 +65,8 @@ pub fn check(controller: impl Into<ControllerKind>) -> Check {
 /// Counts of a test without a failure.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct CheckSummary {
-    /// Judged scenarios, times properties.
-    pub judged: usize,
+    /// Evaluated scenarios, times properties.
+    pub evaluated: usize,
     /// Those that did not test the property.
     pub not_applicable: usize,
 }
@@ -120,7 +120,7 @@ pub struct PropertyFailure {
     pub finding: String,
     /// The scenario, after shrinking.
     pub scenario: Scenario,
-    /// Its file, which the next run judges first.
+    /// The scenario's file, which the next run evaluates first.
     pub file: PathBuf,
     /// Numbers that differ from the nominal scenario; empty for a scenario of the corpus.
     pub changes: Vec<String>,
@@ -147,7 +147,7 @@ impl PropertyFailure {
     }
 }
 
-impl Check {
+impl ControllerCheck {
     /// Sets the scenarios: [`Scenarios`], or the name of a built-in space, the path of a space file or of a folder of
     /// scenario files, or `any`.
     pub fn on<S: TryInto<Scenarios>>(mut self, scenarios: S) -> Self
@@ -182,7 +182,7 @@ impl Check {
         self
     }
 
-    /// Sets the folder for failures, which the next run judges first; by default `crumple-corpus/TEST` in the package.
+    /// Sets the folder for failures, which the next run starts with; by default `crumple-corpus/TEST` in the package.
     pub fn corpus(mut self, folder: impl Into<PathBuf>) -> Self {
         self.corpus = folder.into();
         self
@@ -199,7 +199,7 @@ impl Check {
         }
     }
 
-    /// Judges the scenario of a fuzzer's input and panics if a property is violated.
+    /// Evaluates the scenario of a fuzzer's input and panics if a property is violated.
     ///
     /// # Panics
     /// For a [`CheckError`], after shrinking; the scenario is in the corpus.
@@ -207,7 +207,7 @@ impl Check {
     pub fn assert_input(&self, bytes: &[u8]) {
         let scenarios = self.scenarios.as_ref().unwrap_or_else(|error| panic!("{error}"));
         for property in &self.properties() {
-            if let Judgement::Violated(_) = self.judge(property, &scenarios.read(bytes)) {
+            if let PropertyVerdict::Violated(_) = self.evaluate(property, &scenarios.read(bytes)) {
                 let count = "an input of a fuzzer violates it".to_owned();
                 match self.shrink_and_write(property, scenarios, bytes, count) {
                     Ok(failure) => panic!("{failure}"),
@@ -221,7 +221,7 @@ impl Check {
         if self.properties.is_empty() { vec![Property::no_avoidable_collision()] } else { self.properties.clone() }
     }
 
-    /// Judges the scenarios of the corpus and then random ones.
+    /// Evaluates the scenarios of the corpus and then random ones.
     ///
     /// # Errors
     /// [`CheckError`], for the first violated property of the first scenario.
@@ -233,7 +233,7 @@ impl Check {
         let known = if known.exists() || replayed.is_some() { load_all(known)? } else { Vec::new() };
         for (file, scenario) in known {
             for property in &properties {
-                if let Judgement::Violated(finding) = self.judge(property, &scenario) {
+                if let PropertyVerdict::Violated(finding) = self.evaluate(property, &scenario) {
                     let shrunk = ShrunkScenario { scenario, changes: Vec::new() };
                     let count = "a scenario of the corpus".to_owned();
                     return Err(Box::new(self.failure(property, finding, shrunk, file, count)).into());
@@ -244,32 +244,33 @@ impl Check {
         let all: Vec<Vec<u8>> = (0..u64::from(cases))
             .map(|case| scenarios.random_bytes(&mut stream(self.seed, Purpose::ScenarioSampling, case)))
             .collect();
-        let mut summary = CheckSummary { judged: 0, not_applicable: 0 };
+        let mut summary = CheckSummary { evaluated: 0, not_applicable: 0 };
         for property in &properties {
-            let judged: Vec<_> = all.par_iter().map(|bytes| self.judge(property, &scenarios.read(bytes))).collect();
-            let is_violated = |judgement: &Judgement| matches!(judgement, Judgement::Violated(_));
-            if let Some(bytes) = judged.iter().position(is_violated).and_then(|first| all.get(first)) {
-                let failing = judged.iter().filter(|judgement| is_violated(judgement)).count();
+            let verdicts: Vec<_> =
+                all.par_iter().map(|bytes| self.evaluate(property, &scenarios.read(bytes))).collect();
+            let is_violated = |verdict: &PropertyVerdict| matches!(verdict, PropertyVerdict::Violated(_));
+            if let Some(bytes) = verdicts.iter().position(is_violated).and_then(|first| all.get(first)) {
+                let failing = verdicts.iter().filter(|verdict| is_violated(verdict)).count();
                 let count = format!("{failing} of {} cases violate it (seed {})", self.cases, self.seed);
                 return Err(self.shrink_and_write(property, &scenarios, bytes, count)?.into());
             }
-            let mut reasons = judged.iter().filter_map(|judgement| match judgement {
-                Judgement::NotApplicable(reason) => Some(reason),
+            let mut reasons = verdicts.iter().filter_map(|verdict| match verdict {
+                PropertyVerdict::NotApplicable(reason) => Some(reason),
                 _ => None,
             });
             let not_applicable = reasons.clone().count();
-            if let Some(reason) = reasons.next_back().filter(|_| not_applicable == judged.len()) {
+            if let Some(reason) = reasons.next_back().filter(|_| not_applicable == verdicts.len()) {
                 let property = property.name().to_owned();
                 return Err(CheckError::NotTested { property, reason: reason.clone() });
             }
-            summary.judged += judged.len();
+            summary.evaluated += verdicts.len();
             summary.not_applicable += not_applicable;
         }
         Ok(summary)
     }
 
-    fn judge(&self, property: &Property, scenario: &Scenario) -> Judgement {
-        property.judge(&self.controller, &self.adapt(scenario))
+    fn evaluate(&self, property: &Property, scenario: &Scenario) -> PropertyVerdict {
+        property.evaluate(&self.controller, &self.adapt(scenario))
     }
 
     /// Returns the scenario with a step that suits the controller's decision interval.
@@ -288,10 +289,10 @@ impl Check {
         let mut simulated = 0;
         let mut shrunk = shrink(scenarios, bytes, &mut |scenario| {
             simulated += 1;
-            matches!(self.judge(property, scenario), Judgement::Violated(_))
+            matches!(self.evaluate(property, scenario), PropertyVerdict::Violated(_))
         });
         shrunk.scenario = self.adapt(&shrunk.scenario);
-        let Judgement::Violated(finding) = self.judge(property, &shrunk.scenario) else {
+        let PropertyVerdict::Violated(finding) = self.evaluate(property, &shrunk.scenario) else {
             let finding = "the controller is not deterministic: a failure does not recur".to_owned();
             return Ok(Box::new(self.failure(property, finding, shrunk, PathBuf::new(), String::new())));
         };
@@ -299,7 +300,7 @@ impl Check {
         let slug = property.name().replace(|letter: char| !letter.is_ascii_alphanumeric(), "-");
         let name = format!("{}-{}", slug.get(..40).unwrap_or(&slug), sha256(&text).get(..8).unwrap_or_default());
         let file = self.corpus.join(name).with_extension("toml");
-        let count = format!("{count}; shrunk by {simulated} judgements");
+        let count = format!("{count}; shrunk by {simulated} evaluations");
         let write = || {
             fs::create_dir_all(&self.corpus)?;
             let curves = self.curves(&shrunk.scenario);

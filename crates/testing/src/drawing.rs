@@ -54,8 +54,8 @@ pub(super) fn to_svg(curves: &[Curve], duration_s: f64) -> String {
     let [width, height] = PANEL;
     let [total_width, total_height] = [width + 2.0 * MARGIN, (height + MARGIN) * curves.len() as f64 + MARGIN];
     let mut svg = format!(
-        "<svg xmlns='http://www.w3.org/2000/svg' width='{total_width}' height='{total_height}' font-family='sans-serif' \
-         font-size='12'>\n"
+        "<svg xmlns='http://www.w3.org/2000/svg' width='{total_width}' height='{total_height}' \
+         font-family='sans-serif' font-size='12'>\n"
     );
     for (index, curve) in curves.iter().enumerate() {
         let top = MARGIN + (height + MARGIN) * index as f64;

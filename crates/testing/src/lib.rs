@@ -17,9 +17,9 @@ mod property;
 mod scenarios;
 mod shrink;
 
-pub use check::{Check, CheckError, CheckSummary, PropertyFailure, check};
+pub use check::{CheckError, CheckSummary, ControllerCheck, PropertyFailure, check};
 pub use controller::{ControllerUnderTest, StatelessController, stateless};
 pub use crumple_search::falsify::MetamorphicRelation;
 pub use crumple_world as world;
-pub use property::{Judgement, Property};
+pub use property::{Property, PropertyVerdict};
 pub use scenarios::{ScenarioTree, Scenarios, ScenariosError};

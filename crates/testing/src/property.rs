@@ -18,7 +18,7 @@ use super::ControllerUnderTest;
 
 /// Verdict of a property in one scenario.
 #[derive(Debug, Clone, PartialEq, Eq)]
-pub enum Judgement {
+pub enum PropertyVerdict {
     /// The property holds.
     Holds,
     /// The scenario does not test the property, for this reason.
@@ -27,7 +27,7 @@ pub enum Judgement {
     Violated(String),
 }
 
-type JudgeFn = dyn Fn(&ControllerUnderTest, &Scenario) -> Result<Judgement, SpecificationError> + Send + Sync;
+type VerdictFn = dyn Fn(&ControllerUnderTest, &Scenario) -> Result<PropertyVerdict, SpecificationError> + Send + Sync;
 
 /// A property that a controller must have in every scenario.
 ///
@@ -35,7 +35,7 @@ type JudgeFn = dyn Fn(&ControllerUnderTest, &Scenario) -> Result<Judgement, Spec
 #[derive(Clone)]
 pub struct Property {
     name: String,
-    judge: Arc<JudgeFn>,
+    evaluate: Arc<VerdictFn>,
 }
 
 impl fmt::Debug for Property {
@@ -48,9 +48,12 @@ impl Property {
     /// Creates a property from a function. A scenario for which the function returns an error does not test it.
     pub fn new(
         name: impl Into<String>,
-        judge: impl Fn(&ControllerUnderTest, &Scenario) -> Result<Judgement, SpecificationError> + Send + Sync + 'static,
+        evaluate: impl Fn(&ControllerUnderTest, &Scenario) -> Result<PropertyVerdict, SpecificationError>
+        + Send
+        + Sync
+        + 'static,
     ) -> Self {
-        Self { name: name.into(), judge: Arc::new(judge) }
+        Self { name: name.into(), evaluate: Arc::new(evaluate) }
     }
 
     /// No collision that some driver of the vehicles under test could have avoided, in front of them or behind.
@@ -59,13 +62,13 @@ impl Property {
         Self::new("no avoidable collision", |controller, scenario| {
             let verdict = controller.evaluate(&Specification::NoContact, scenario)?;
             if verdict.contact.is_none() {
-                return Ok(judge(&verdict));
+                return Ok(from_run(&verdict));
             }
             let avoidability = Avoidability::classify_contact(scenario);
             Ok(match (avoidability.is_avoidable(), avoidability.describe().unwrap_or_default()) {
-                (Some(true), reason) => Judgement::Violated(format!("{}; {reason}", describe(&verdict))),
-                (Some(false), _) => Judgement::Holds,
-                (None, reason) => Judgement::NotApplicable(reason),
+                (Some(true), reason) => PropertyVerdict::Violated(format!("{}; {reason}", describe(&verdict))),
+                (Some(false), _) => PropertyVerdict::Holds,
+                (None, reason) => PropertyVerdict::NotApplicable(reason),
             })
         })
     }
@@ -75,7 +78,7 @@ impl Property {
     pub fn no_unnecessary_braking() -> Self {
         Self::new("no unnecessary braking", |controller, scenario| {
             let rule = Specification::DrivingRule(DrivingRule::NoUnnecessaryBraking);
-            Ok(judge(&controller.evaluate(&rule, scenario)?))
+            Ok(from_run(&controller.evaluate(&rule, scenario)?))
         })
     }
 
@@ -86,7 +89,7 @@ impl Property {
         Self::new("string stability", |controller, scenario| {
             let result = controller.simulate(scenario)?;
             if !result.outcome.is_safe() {
-                return Ok(Judgement::Violated("vehicles of the line collide".to_owned()));
+                return Ok(PropertyVerdict::Violated("vehicles of the line collide".to_owned()));
             }
             let amplification = result.trace.as_ref().and_then(|trace| {
                 let leader = trace.vehicles.first()?;
@@ -94,7 +97,9 @@ impl Property {
                 SpeedAmplification::from_trace(trace, *trace.time_s.get(onset)?)
             });
             let Some(found) = amplification else {
-                return Ok(Judgement::NotApplicable("the line does not settle before the disturbance".to_owned()));
+                return Ok(PropertyVerdict::NotApplicable(
+                    "the line does not settle before the disturbance".to_owned(),
+                ));
             };
             let worst = found.of_each.iter().flatten().fold(0.0, |worst: f64, &ratio| worst.max(ratio));
             Ok(violated_if(found.has_amplification(), || {
@@ -123,7 +128,7 @@ impl Property {
     pub fn specification(text: &str) -> Self {
         let text = text.to_owned();
         Self::new(text.clone(), move |controller, scenario| {
-            Ok(judge(&controller.evaluate(&Specification::parse(&text, scenario)?, scenario)?))
+            Ok(from_run(&controller.evaluate(&Specification::parse(&text, scenario)?, scenario)?))
         })
     }
 
@@ -145,7 +150,7 @@ impl Property {
         Self::new(format!("{relation} makes nothing worse"), move |controller, scenario| {
             let reason = format!("there is none {}", relation.describe_partner());
             let Some(partner) = relation.partner(scenario) else {
-                return Ok(Judgement::NotApplicable("the partner scenario would be invalid".to_owned()));
+                return Ok(PropertyVerdict::NotApplicable("the partner scenario would be invalid".to_owned()));
             };
             differs(controller.evaluate(&Specification::NoContact, scenario)?, &reason, || {
                 controller.evaluate(&Specification::NoContact, &partner)
@@ -169,31 +174,33 @@ impl Property {
         &self.name
     }
 
-    /// Judges a controller in a scenario.
+    /// Evaluates a controller in a scenario.
     #[must_use]
-    pub fn judge(&self, controller: &ControllerUnderTest, scenario: &Scenario) -> Judgement {
-        match catch_unwind(AssertUnwindSafe(|| (self.judge)(controller, scenario))) {
-            Ok(Ok(judgement)) => judgement,
-            Ok(Err(error)) => Judgement::NotApplicable(error.to_string()),
-            Err(panic) => Judgement::Violated(format!("the controller panics: {}", panic_message(panic.as_ref()))),
+    pub fn evaluate(&self, controller: &ControllerUnderTest, scenario: &Scenario) -> PropertyVerdict {
+        match catch_unwind(AssertUnwindSafe(|| (self.evaluate)(controller, scenario))) {
+            Ok(Ok(verdict)) => verdict,
+            Ok(Err(error)) => PropertyVerdict::NotApplicable(error.to_string()),
+            Err(panic) => {
+                PropertyVerdict::Violated(format!("the controller panics: {}", panic_message(panic.as_ref())))
+            }
         }
     }
 }
 
-fn violated_if(condition: bool, finding: impl FnOnce() -> String) -> Judgement {
-    if condition { Judgement::Violated(finding()) } else { Judgement::Holds }
+fn violated_if(condition: bool, finding: impl FnOnce() -> String) -> PropertyVerdict {
+    if condition { PropertyVerdict::Violated(finding()) } else { PropertyVerdict::Holds }
 }
 
-fn judge(verdict: &RunVerdict) -> Judgement {
+fn from_run(verdict: &RunVerdict) -> PropertyVerdict {
     violated_if(verdict.is_violation(), || describe(verdict))
 }
 
-/// Judges a run that may fail only if the run to compare with fails, too.
+/// Returns the verdict of a run that may fail only if the run to compare with fails, too.
 fn differs(
     own: RunVerdict,
     reason: &str,
     other: impl FnOnce() -> Result<RunVerdict, SpecificationError>,
-) -> Result<Judgement, SpecificationError> {
+) -> Result<PropertyVerdict, SpecificationError> {
     Ok(violated_if(own.is_violation() && !other()?.is_violation(), || format!("{}; {reason}", describe(&own))))
 }
 
@@ -208,8 +215,8 @@ fn describe(verdict: &RunVerdict) -> String {
     }
 }
 
-fn failure_of(result: &SimulationResult) -> Option<Judgement> {
-    result.outcome.failed_controller().map(|failed| Judgement::Violated(failed.reason()))
+fn failure_of(result: &SimulationResult) -> Option<PropertyVerdict> {
+    result.outcome.failed_controller().map(|failed| PropertyVerdict::Violated(failed.reason()))
 }
 
 fn panic_message(panic: &(dyn Any + Send)) -> &str {

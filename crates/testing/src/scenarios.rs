@@ -34,7 +34,7 @@ pub struct Scenarios(pub(super) Arc<Family>);
 #[derive(Debug)]
 pub(super) enum Family {
     Any,
-    Space(ScenarioSpace),
+    Space(Box<ScenarioSpace>),
     Files(Vec<Scenario>),
 }
 
@@ -164,7 +164,7 @@ pub(super) fn scenario_of_values(space: &ScenarioSpace, values: &[f64], seed: u6
 
 impl From<ScenarioSpace> for Scenarios {
     fn from(space: ScenarioSpace) -> Self {
-        Self(Arc::new(Family::Space(space)))
+        Self(Arc::new(Family::Space(Box::new(space))))
     }
 }
 
@@ -202,7 +202,7 @@ impl Strategy for Scenarios {
 pub struct ScenarioTree {
     scenarios: Scenarios,
     bytes: Vec<u8>,
-    /// Whether each candidate so far failed, too.
+    /// True for each candidate so far that failed, too.
     answers: Vec<bool>,
     /// True if `current` is a candidate without an answer.
     asks: bool,

@@ -1,4 +1,5 @@
 //! Planted defects are found, and their scenarios shrink to few changes.
+#![expect(clippy::panic, clippy::unwrap_used, reason = "a test may panic, also in its functions")]
 
 use crumple_testing::world::observation::{EstimatorKind, Observation};
 use crumple_testing::{CheckError, MetamorphicRelation, Property, PropertyFailure, Scenarios, check, stateless};
@@ -29,7 +30,7 @@ fn failure_of(defect: Defect, space: &str, property: &Property) -> Box<PropertyF
     let first = test(defect).cases(300).run();
     let Err(CheckError::Violated(failure)) = first else { panic!("{}: {first:?}", property.name()) };
     assert!(failure.file.with_extension("svg").exists());
-    // The next run judges the written scenario first.
+    // The next run evaluates the written scenario first.
     let Err(CheckError::Violated(again)) = test(defect).run() else { panic!("a corpus without a failure") };
     assert_eq!((&again.file, &again.scenario, &again.finding), (&failure.file, &failure.scenario, &failure.finding));
     failure

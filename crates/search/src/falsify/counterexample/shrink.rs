@@ -9,8 +9,8 @@ const NOMINAL_STEPS: usize = 4;
 const MAX_ROUNDING_SHARE: f64 = 0.1;
 const MAX_DECIMALS: i32 = 3;
 
-/// Returns the simplest values found for which `holds`, from `values` of the space. Moves have a fixed order, the largest first:
-/// whole parameter to nominal; neighbouring pieces merged; part of the way to nominal; fewer decimals.
+/// Returns the simplest values found for which `holds`, from `values` of the space. Moves have a fixed order, the
+/// largest first: whole parameter to nominal; neighbouring pieces merged; part of the way to nominal; fewer decimals.
 pub fn shrink(space: &ScenarioSpace, values: &[f64], holds: &mut dyn FnMut(&[f64]) -> bool) -> Vec<f64> {
     let mut current = values.to_vec();
     for _ in 0..MAX_ROUNDS {
