@@ -11,15 +11,17 @@
 mod check;
 mod controller;
 mod drawing;
+mod failure;
 pub mod generator;
 mod near;
 mod property;
 mod scenarios;
 mod shrink;
 
-pub use check::{CheckError, CheckSummary, ControllerCheck, PropertyFailure, check};
+pub use check::{ControllerCheck, check};
 pub use controller::{ControllerUnderTest, StatelessController, stateless};
 pub use crumple_search::falsify::MetamorphicRelation;
 pub use crumple_world as world;
+pub use failure::{CheckError, CheckSummary, PropertyFailure};
 pub use property::{Property, PropertyVerdict};
 pub use scenarios::{ScenarioTree, Scenarios, ScenariosError};
