@@ -2,10 +2,12 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
-use std::time::Instant;
 
 use clap::Args;
-use indicatif::ProgressBar;
+
+mod progress_line;
+
+use progress_line::ProgressLine;
 
 use super::preset::{RETRAIN_PRESET_NAMES, TrainingPreset};
 use super::simulate::OutputFormat;
@@ -34,8 +36,9 @@ imitates the expert in them. It accepts the checkpoint only if no safe scenario 
 fails, collisions on the validation set do not increase, and the policy is significantly worse in none of the \
 --regression spaces: by collisions and, where `idm` drives without fault, also by hard unnecessary braking and \
 vehicles left behind (McNemar's exact one-sided test on the same random scenarios, p below 0.01). With `useful_draws` \
-in the preset, no measure of usability in `traffic` may get worse either. The retraining ends after --rounds, or when \
-a search finds no avoidable failure, and then evaluates the result on the test set.
+in the preset, and without `--regression none`, drives of `traffic` may not have more collisions, hard unnecessary \
+braking or vehicles left behind, nor a jerk, acceleration or time gap that is worse by more than 2 %. The retraining \
+ends after --rounds, or when a search finds no avoidable failure, and then evaluates the result on the test set.
 
 The folder contains the policy, the training, validation and test sets, a report (report.md, report.json) with their \
 hashes, and each round. --resume continues an interrupted retraining, even after `kill -9`, and gives the same bytes \
@@ -49,7 +52,7 @@ Examples:
   crumple retrain --policy runs/seed-3/policy.safetensors --space wet.toml --rounds 3 --judge 20000
   crumple simulate paper-1 --controller runs/retrained/policy.safetensors --expect safe")]
 pub(super) struct Retrain {
-    /// Initial policy: `policy`, or a policy file
+    /// Initial policy: `policy`, `road`, or a policy file
     #[arg(long, value_name = "P", default_value = "policy", value_parser = args::parse_own_policy)]
     policy: NamedController,
     /// Scenario space for searches and random scenarios: built-in (see `crumple list spaces`) or a file; may be
@@ -238,6 +241,9 @@ fn load_attacked(names: &[String], imitates: bool, quiet: bool) -> Result<Vec<Sc
     for name in names {
         if Path::new(name).is_dir() {
             let all = file::load_all(Path::new(name))?;
+            if all.is_empty() {
+                return Err(CliError::Input(format!("--scenario: {name}: the folder contains no scenario file")));
+            }
             let before = scenarios.len();
             scenarios.extend(all.iter().map(|(_, scenario)| scenario.clone()).filter(is_suitable));
             let used = scenarios.len() - before;
@@ -293,59 +299,4 @@ fn load_training_config(name: &str) -> Result<TrainingConfig, CliError> {
         return training_preset().map_err(CliError::input);
     }
     TrainingPreset::find_with_own(RETRAIN_PRESET_NAMES[0], name)?.into_checked_config()
-}
-
-/// Progress on a terminal, with the time that is left of a step: of a corpus, or of all rounds.
-struct ProgressLine<'a> {
-    bar: &'a ProgressBar,
-    rounds: u64,
-    /// Name of the step, its beginning, and the share of it that was done then.
-    step: Option<(&'static str, Instant, f64)>,
-}
-
-impl ProgressLine<'_> {
-    fn show(&mut self, state: &RetrainingProgress) {
-        let share = |done: u64, total: u64| done as f64 / total.max(1) as f64;
-        // The search counts as half of a round.
-        let (round, part, message) = match state {
-            RetrainingProgress::Gathering { file, done, wanted } => {
-                let message = format!("{file}: {done} of {wanted} avoidable random scenarios");
-                return self.print(file, share(*done, *wanted), &message);
-            }
-            RetrainingProgress::SimulatingDraws { round, draws } => {
-                (round, 0.0, format!("simulating {draws} random scenarios, classifying collisions"))
-            }
-            RetrainingProgress::Searching { round, space, space_index: [index, spaces], progress: state } => {
-                let part = (*index as f64 + share(state.evaluations, state.total)) / *spaces as f64;
-                let method = state.method.as_ref().map_or("replay and classification".to_owned(), ToString::to_string);
-                let (done, total, failures) = (state.evaluations, state.total, state.failures);
-                (round, 0.5 * part, format!("{method} in {space}, {done} of {total} runs, {failures} failures"))
-            }
-            RetrainingProgress::Attacking { round, scenarios } => {
-                (round, 0.5, format!("worst-case braking in {scenarios} scenarios"))
-            }
-            RetrainingProgress::Imitating { round, imitation } => {
-                (round, 1.0, format!("imitation {} of {}", imitation.round, imitation.rounds))
-            }
-            RetrainingProgress::Training { round, episode, episodes, fewest_contacts: fewest } => {
-                let fewest = fewest
-                    .map_or("no checkpoint yet".to_owned(), |fewest| format!("best checkpoint {fewest} collisions"));
-                let part = 0.5 + 0.5 * share(*episode, *episodes);
-                (round, part, format!("episode {episode} of {episodes}, {fewest}"))
-            }
-            RetrainingProgress::Evaluating { round } => (round, 1.0, "evaluating the candidate".to_owned()),
-        };
-        let part = (*round as f64 - 1.0 + part) / self.rounds as f64;
-        self.print("rounds", part, &format!("round {round} of {}: {message}", self.rounds));
-    }
-
-    fn print(&mut self, step: &'static str, part: f64, message: &str) {
-        let (_, begin, from) = match self.step {
-            Some(known) if known.0 == step => known,
-            _ => *self.step.insert((step, Instant::now(), part)),
-        };
-        let left = progress::format_time_left(begin.elapsed(), part - from, 1.0 - from);
-        self.bar.set_message(format!("{message}{left}"));
-        self.bar.tick();
-    }
 }
