@@ -167,7 +167,7 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     );
     println!("|---|---|---|---|---|---|---|---|---|---|---|---|");
     let mark_of = |NamedController { name, .. }: &NamedController| ParetoPoint {
-        name: Path::new(name).file_stem().map_or(name.as_str().into(), |stem| stem.to_string_lossy()).into_owned(),
+        name: Path::new(name).file_name().map_or(name.as_str().into(), |name| name.to_string_lossy()).into_owned(),
         jerk_mps3: 0.0,
         contacts_percent: 0.0,
         is_untrained: !name.ends_with(".safetensors"),

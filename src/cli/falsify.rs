@@ -78,7 +78,8 @@ pub(super) struct Falsify {
     #[arg(long, value_name = "CONTROLLER", value_parser = args::parse_controller, conflicts_with = "metamorphic")]
     against: Option<NamedController>,
     /// Count only failures that a harder scenario avoids: with `larger-gap=M`, the one in which vehicles ahead start M
-    /// metres nearer; with `more-friction=F`, the one with friction lower by F
+    /// metres nearer; with `more-friction=F`, the one with friction lower by F; with `earlier-reaction=S`, the one with
+    /// reactions S seconds later
     #[arg(long, value_name = "RELATION")]
     metamorphic: Option<MetamorphicRelation>,
     /// Estimator of the vehicles under test

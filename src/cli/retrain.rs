@@ -2,10 +2,12 @@
 
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
-use std::time::Instant;
 
 use clap::Args;
-use indicatif::ProgressBar;
+
+mod progress_line;
+
+use progress_line::ProgressLine;
 
 use super::preset::{RETRAIN_PRESET_NAMES, TrainingPreset};
 use super::simulate::OutputFormat;
@@ -15,7 +17,7 @@ use crumple_learn::retrain::{
     Checkpoint, RetrainError, RetrainingPlan, RetrainingProgress, RetrainingReport, RetrainingSettings, Round,
     SearchedSpaces, training_preset,
 };
-use crumple_learn::rl::TrainingConfig;
+use crumple_learn::rl::{TrainingConfig, unsuitability};
 use crumple_report::figures::{RetrainingRound, SelectedCheckpoint, draw_retraining};
 use crumple_search::falsify::Method;
 use crumple_world::scenario::space::{BUILT_IN_SPACES, ScenarioSpace, built_in_space};
@@ -34,8 +36,9 @@ imitates the expert in them. It accepts the checkpoint only if no safe scenario 
 fails, collisions on the validation set do not increase, and the policy is significantly worse in none of the \
 --regression spaces: by collisions and, where `idm` drives without fault, also by hard unnecessary braking and \
 vehicles left behind (McNemar's exact one-sided test on the same random scenarios, p below 0.01). With `useful_draws` \
-in the preset, no measure of usability in `traffic` may get worse either. The retraining ends after --rounds, or when \
-a search finds no avoidable failure, and then evaluates the result on the test set.
+in the preset, and without `--regression none`, drives of `traffic` may not have more collisions, hard unnecessary \
+braking or vehicles left behind, nor a jerk, acceleration or time gap that is worse by more than 2 %. The retraining \
+ends after --rounds, or when a search finds no avoidable failure, and then evaluates the result on the test set.
 
 The folder contains the policy, the training, validation and test sets, a report (report.md, report.json) with their \
 hashes, and each round. --resume continues an interrupted retraining, even after `kill -9`, and gives the same bytes \
@@ -49,7 +52,7 @@ Examples:
   crumple retrain --policy runs/seed-3/policy.safetensors --space wet.toml --rounds 3 --judge 20000
   crumple simulate paper-1 --controller runs/retrained/policy.safetensors --expect safe")]
 pub(super) struct Retrain {
-    /// Initial policy: `policy`, or a policy file
+    /// Initial policy: `policy`, `road`, or a policy file
     #[arg(long, value_name = "P", default_value = "policy", value_parser = args::parse_own_policy)]
     policy: NamedController,
     /// Scenario space for searches and random scenarios: built-in (see `crumple list spaces`) or a file; may be
@@ -58,7 +61,7 @@ pub(super) struct Retrain {
     space: Vec<String>,
     /// Scenario that each round also attacks, as it is and with the leader's worst-case braking: built-in, a file, or a
     /// folder, for example of collisions that a fuzz target wrote; may be repeated, `none` for none
-    /// [default: the paper's scenarios with an imitation, otherwise none]
+    /// [default: paper-1 and paper-2 with an imitation, otherwise none]
     #[arg(long, value_name = "F")]
     scenario: Vec<String>,
     /// Training preset: `retrain`, a preset of `crumple train`, or a TOML file like theirs
@@ -146,7 +149,7 @@ impl Retrain {
             initial_policy: first,
             initial_policy_name: name.clone(),
             spaces,
-            attacked: load_attacked(&self.scenario, training.imitation.is_some())?,
+            attacked: load_attacked(&self.scenario, training.imitation.is_some(), quiet)?,
             regression_spaces,
             training,
             method: self.method,
@@ -220,11 +223,13 @@ fn check_accepted(report: &RetrainingReport) -> Result<(), CliError> {
     Err(CliError::Gate(format!("no round was accepted: `{}` is unchanged", report.first)))
 }
 
-/// Loads the scenarios of `--scenario`, by default those of the paper if the policy `imitates` an expert.
-fn load_attacked(names: &[String], imitates: bool) -> Result<Vec<Scenario>, CliError> {
+/// Loads the scenarios of `--scenario`, by default those of the paper if the policy `imitates` an expert. Leaves out
+/// scenarios of a folder that no policy can be trained on.
+fn load_attacked(names: &[String], imitates: bool, quiet: bool) -> Result<Vec<Scenario>, CliError> {
+    let is_suitable = |scenario: &Scenario| unsuitability(scenario).is_none();
     if names.is_empty() {
         let names = built_in_scenario_names().map(|(name, _)| name).into_iter().filter(|_| imitates);
-        return Ok(names.filter_map(built_in_scenario).collect());
+        return Ok(names.filter_map(built_in_scenario).filter(is_suitable).collect());
     }
     if names.iter().any(|name| name == "none") {
         return match names.len() {
@@ -235,9 +240,24 @@ fn load_attacked(names: &[String], imitates: bool) -> Result<Vec<Scenario>, CliE
     let mut scenarios = Vec::new();
     for name in names {
         if Path::new(name).is_dir() {
-            scenarios.extend(file::load_all(Path::new(name))?.into_iter().map(|(_, scenario)| scenario));
+            let all = file::load_all(Path::new(name))?;
+            if all.is_empty() {
+                return Err(CliError::Input(format!("--scenario: {name}: the folder contains no scenario file")));
+            }
+            let before = scenarios.len();
+            scenarios.extend(all.iter().map(|(_, scenario)| scenario.clone()).filter(is_suitable));
+            let used = scenarios.len() - before;
+            if used < all.len() {
+                let first = all.iter().find_map(|(path, scenario)| Some((path, unsuitability(scenario)?)));
+                let reason = first.map_or_else(String::new, |(path, reason)| format!(": {}: {reason}", path.display()));
+                output::note(&format!("{name}: uses {used} of {} scenarios{reason}", all.len()), quiet);
+            }
         } else {
-            scenarios.push(args::load_scenario(name)?);
+            let scenario = args::load_scenario(name)?;
+            if let Some(reason) = unsuitability(&scenario) {
+                return Err(CliError::Input(format!("--scenario: `{name}` cannot be trained on: {reason}")));
+            }
+            scenarios.push(scenario);
         }
     }
     Ok(scenarios)
@@ -279,59 +299,4 @@ fn load_training_config(name: &str) -> Result<TrainingConfig, CliError> {
         return training_preset().map_err(CliError::input);
     }
     TrainingPreset::find_with_own(RETRAIN_PRESET_NAMES[0], name)?.into_checked_config()
-}
-
-/// Progress on a terminal, with the time that is left of a step: of a corpus, or of all rounds.
-struct ProgressLine<'a> {
-    bar: &'a ProgressBar,
-    rounds: u64,
-    /// Name of the step, its beginning, and the share of it that was done then.
-    step: Option<(&'static str, Instant, f64)>,
-}
-
-impl ProgressLine<'_> {
-    fn show(&mut self, state: &RetrainingProgress) {
-        let share = |done: u64, total: u64| done as f64 / total.max(1) as f64;
-        // The search counts as half of a round.
-        let (round, part, message) = match state {
-            RetrainingProgress::Gathering { file, done, wanted } => {
-                let message = format!("{file}: {done} of {wanted} avoidable random scenarios");
-                return self.print(file, share(*done, *wanted), &message);
-            }
-            RetrainingProgress::SimulatingDraws { round, draws } => {
-                (round, 0.0, format!("simulating {draws} random scenarios, classifying collisions"))
-            }
-            RetrainingProgress::Searching { round, space, space_index: [index, spaces], progress: state } => {
-                let part = (*index as f64 + share(state.evaluations, state.total)) / *spaces as f64;
-                let method = state.method.as_ref().map_or("replay and classification".to_owned(), ToString::to_string);
-                let (done, total, failures) = (state.evaluations, state.total, state.failures);
-                (round, 0.5 * part, format!("{method} in {space}, {done} of {total} runs, {failures} failures"))
-            }
-            RetrainingProgress::Attacking { round, scenarios } => {
-                (round, 0.5, format!("worst-case braking in {scenarios} scenarios"))
-            }
-            RetrainingProgress::Imitating { round, imitation } => {
-                (round, 1.0, format!("imitation {} of {}", imitation.round, imitation.rounds))
-            }
-            RetrainingProgress::Training { round, episode, episodes, fewest_contacts: fewest } => {
-                let fewest = fewest
-                    .map_or("no checkpoint yet".to_owned(), |fewest| format!("best checkpoint {fewest} collisions"));
-                let part = 0.5 + 0.5 * share(*episode, *episodes);
-                (round, part, format!("episode {episode} of {episodes}, {fewest}"))
-            }
-            RetrainingProgress::Evaluating { round } => (round, 1.0, "evaluating the candidate".to_owned()),
-        };
-        let part = (*round as f64 - 1.0 + part) / self.rounds as f64;
-        self.print("rounds", part, &format!("round {round} of {}: {message}", self.rounds));
-    }
-
-    fn print(&mut self, step: &'static str, part: f64, message: &str) {
-        let (_, begin, from) = match self.step {
-            Some(known) if known.0 == step => known,
-            _ => *self.step.insert((step, Instant::now(), part)),
-        };
-        let left = progress::format_time_left(begin.elapsed(), part - from, 1.0 - from);
-        self.bar.set_message(format!("{message}{left}"));
-        self.bar.tick();
-    }
 }

@@ -78,6 +78,6 @@ proptest! {
 #[test]
 fn every_rule_is_generated() {
     for rule in ControllerSpec::all().into_iter().filter(|spec| spec.role() <= Role::Reference) {
-        assert!(crumple_fuzzing::CONTROLLERS.contains(&rule), "{}", rule.name());
+        assert!(crumple_testing::generator::CONTROLLERS.contains(&rule), "{}", rule.name());
     }
 }

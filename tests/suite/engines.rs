@@ -1,8 +1,9 @@
 //! The batch engine gives the scalar engine's results to the last bit, whatever shares a batch, on any number of
 //! threads.
 
+use crumple_fuzzing::RunSetup;
 use crumple_fuzzing::oracle::result_bits;
-use crumple_fuzzing::{DriverKind, RunSetup, ScenarioShape};
+use crumple_testing::generator::{DriverKind, ScenarioShape};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{PaperDistribution, Scenario};
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate, simulate_batch};

@@ -1,14 +1,14 @@
 //! Random scenarios for the property tests.
 //!
-//! [`crumple_fuzzing`] reads all of them from random bytes, as for the fuzzer. Bytes shrink to zero, and zero bytes are
-//! paper-1.
+//! [`crumple_testing::generator`] reads all of them from random bytes, as for the fuzzer. Bytes shrink to zero, and
+//! zero bytes are paper-1.
 
 use arbitrary::Unstructured;
 pub(crate) use crumple_cases::with_cases;
 use crumple_fuzzing::{
-    self, Crumple, LANE_CASE_BYTES, OracleFn, OracleOutcome, RunSetup, SCENARIO_BYTES, SETUP_BYTES, ScenarioShape,
-    TEST_CASE_BYTES, TestCase,
+    Crumple, LANE_CASE_BYTES, OracleFn, OracleOutcome, RunSetup, SETUP_BYTES, TEST_CASE_BYTES, TestCase,
 };
+use crumple_testing::generator::{self, SCENARIO_BYTES, ScenarioShape};
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{
     Driver, Environment, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, Sensors, VehicleSpec,
@@ -66,13 +66,13 @@ pub(crate) fn any_lane_case() -> impl Strategy<Value = TestCase> {
 }
 
 pub(crate) fn any_scenario() -> impl Strategy<Value = Scenario> {
-    any_bytes(SCENARIO_BYTES).prop_map(|bytes| crumple_fuzzing::read_scenario(&mut Unstructured::new(&bytes)))
+    any_bytes(SCENARIO_BYTES).prop_map(|bytes| generator::read_scenario(&mut Unstructured::new(&bytes)))
 }
 
 pub(crate) fn any_scenario_of_shape(shape: &ScenarioShape) -> impl Strategy<Value = Scenario> + use<> {
     let shape = shape.clone();
     any_bytes(SCENARIO_BYTES)
-        .prop_map(move |bytes| crumple_fuzzing::read_scenario_of_shape(&shape, &mut Unstructured::new(&bytes)))
+        .prop_map(move |bytes| generator::read_scenario_of_shape(&shape, &mut Unstructured::new(&bytes)))
 }
 
 pub(crate) fn any_shape() -> impl Strategy<Value = ScenarioShape> {
@@ -91,13 +91,13 @@ pub(crate) fn any_after_contact() -> impl Strategy<Value = AfterContact> {
 
 /// Returns lead profiles of the kind `index`.
 pub(crate) fn any_profile(index: u8) -> impl Strategy<Value = LeadProfile> {
-    any_bytes(32).prop_map(move |bytes| crumple_fuzzing::profile_from_bytes(index, &bytes))
+    any_bytes(32).prop_map(move |bytes| generator::profile_from_bytes(index, &bytes))
 }
 
 /// Any built-in controller, with any sensible settings.
 pub(crate) fn any_controller() -> impl Strategy<Value = ControllerSpec> {
     let index = 0..ControllerSpec::all().len() as u8;
-    (index, any_bytes(32)).prop_map(|(index, bytes)| crumple_fuzzing::controller_from_bytes(index, &bytes))
+    (index, any_bytes(32)).prop_map(|(index, bytes)| generator::controller_from_bytes(index, &bytes))
 }
 
 /// Returns a scenario without noise; reaction and actuator delays stay.

@@ -5,9 +5,10 @@ use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::{fs, io};
 
 use super::{Crumple, RUN_ORACLES, TestCase, TestedController, Violation, behaviour};
+use crumple_testing::generator::with_compatible_step;
 use crumple_world::control::FmuProblem;
+use crumple_world::scenario::InvalidField;
 use crumple_world::scenario::controller_file::ControllerFileError;
-use crumple_world::scenario::{InvalidField, Scenario, whole_multiple};
 use crumple_world::sim::{Run, RunError, SimulationResult, UnknownController};
 
 /// Interval, in inputs, at which all oracles are checked even without new features: they take many times as long as a
@@ -149,20 +150,4 @@ fn find_controller(name: &str) -> Result<TestedController, CollisionSearchError>
         })?;
     }
     Ok(controller)
-}
-
-/// Returns the scenario with its step reduced to the longest divisor of the decision interval.
-///
-/// # Errors
-/// [`InvalidField`] if no scenario may have that step.
-fn with_compatible_step(scenario: &Scenario, interval_s: f64) -> Result<Scenario, InvalidField> {
-    let step_s = scenario.spec().step_s;
-    if whole_multiple(interval_s, step_s).is_some() {
-        return Ok(scenario.clone());
-    }
-    let step_s = interval_s / (interval_s / step_s).ceil();
-    scenario.edited(|spec| {
-        spec.duration_s = (spec.duration_s / step_s).round().max(1.0) * step_s;
-        spec.step_s = step_s;
-    })
 }

@@ -1,6 +1,6 @@
 //! Generation of STL formulas from bytes.
 
-use super::choices::Choices;
+use crumple_testing::generator::Choices;
 use crumple_world::measure::stl::{ComparisonOp, Formula, FormulaError, LinearPredicate, TimeWindow};
 
 const MAX_DEPTH: u32 = 3;

@@ -1,24 +1,18 @@
-//! Property tests and fuzz targets of crumple: scenarios from bytes, and invariants that must hold in them.
+//! Property tests and fuzz targets of crumple: invariants that must hold in every simulation.
 //!
-//! One generator reads scenarios and setups from bytes, as variations of the paper's scenario 1. Property tests pass
-//! random bytes and fuzzers pass evolved bytes. No bytes, or zero bytes, give that scenario with the baseline
-//! controller. Oracles check a [`TestCase`] and return an [`OracleOutcome`] or a [`Violation`] with a scenario file
-//! that reproduces it. [`targets`] are complete fuzz targets, which the test suite replays without a fuzzer.
-//! [`behaviour`] provides feedback for fuzzers beyond code coverage.
+//! A test case is a scenario of [`crumple_testing::generator`] and a setup, both from bytes. No bytes, or zero bytes,
+//! give the paper's scenario 1 with the baseline controller. Oracles check a [`TestCase`] and return an
+//! [`OracleOutcome`] or a [`Violation`] with a scenario file that reproduces it. [`targets`] are complete fuzz targets,
+//! which the test suite replays without a fuzzer. [`behaviour`] provides feedback for fuzzers beyond code coverage.
 //!
 //! For crumple's own tests and fuzzers; the API is not stable.
 
 pub mod behaviour;
-mod choices;
 mod collision_search;
-mod driver;
 mod formula;
-mod lanes;
 pub mod oracle;
 mod run_folder;
-mod scenario;
 mod setup;
-mod shape;
 mod system;
 pub mod targets;
 mod violation;
@@ -28,17 +22,14 @@ use std::fmt;
 use arbitrary::Unstructured;
 
 pub use collision_search::{CollisionSearch, CollisionSearchError};
-pub use driver::{CONTROLLERS, controller_from_bytes, make_scripted, profile_from_bytes};
 pub use formula::formula_from_bytes;
-pub(crate) use lanes::{LANE_BYTES, with_lane_changes};
 pub(crate) use oracle::RUN_ORACLES;
 pub use oracle::{LANE_ORACLES, ORACLES, OracleContext, OracleFn, OracleOutcome};
-pub use scenario::{SCENARIO_BYTES, read_scenario, read_scenario_of_shape};
 pub use setup::{ControllerByName, RunSetup, SETUP_BYTES, TestedController};
-pub use shape::{DriverKind, ScenarioShape};
 pub use system::{Crumple, ObservationSample, ScenarioFormat, System};
 pub use violation::{Invariant, Violation};
 
+use crumple_testing::generator::{LANE_BYTES, SCENARIO_BYTES, read_scenario, with_lane_changes};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::SimulationResult;
 

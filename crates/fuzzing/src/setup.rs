@@ -6,9 +6,8 @@ use std::sync::Arc;
 
 use arbitrary::Unstructured;
 
-use super::choices::Choices;
-use super::driver::{DRIVER_BYTES, controller_from_bytes};
 use crumple_core::digest::sha256;
+use crumple_testing::generator::{Choices, DRIVER_BYTES, controller_from_bytes};
 use crumple_world::control::{AebSettings, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego};
 use crumple_world::observation::{EstimatorKind, Observation};
 use crumple_world::sim::{AfterContact, ControllerKind, NamedController, RunOptions, UnknownController};

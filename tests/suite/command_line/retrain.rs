@@ -151,7 +151,10 @@ fn mistakes_are_reported_before_anything_is_written() {
     let differ = "and the training preset `road` differ in the observation or its scaling";
     assert!(retrain("--preset road").contains(differ));
     let road = format!("{}/crates/world/src/policy/road.safetensors", env!("CARGO_MANIFEST_DIR"));
-    assert!(retrain(&format!("--policy '{road}'")).contains("and the training preset `retrain` differ in"));
+    let differ = "and the training preset `retrain` differ in";
+    assert!(retrain(&format!("--policy '{road}' --preset retrain")).contains(differ));
+    assert!(retrain("--scenario paper-3").contains("--scenario: `paper-3` cannot be trained on: only vehicle 1 "));
+    assert!(retrain("--scenario none --scenario paper-1").contains("`none` cannot be combined with scenarios"));
     assert!(retrain("--regression none --regression paper").contains("`none` cannot be combined with spaces"));
     assert!(retrain("--regression paper --regression paper").contains("two spaces have the name `paper`"));
     assert!(retrain("--regression nowhere").contains("--regression: `nowhere` is neither"));

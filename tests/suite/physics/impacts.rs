@@ -1,7 +1,8 @@
 //! Impacts conserve momentum, dissipate energy and leave vehicles stuck together.
 
 use crumple_fuzzing::oracle::impacts_are_inelastic;
-use crumple_fuzzing::{RunSetup, TestCase, make_scripted};
+use crumple_fuzzing::{RunSetup, TestCase};
+use crumple_testing::generator::make_scripted;
 use crumple_world::scenario::{LeadProfile, Scenario, ScenarioSpec};
 use crumple_world::sim::AfterContact;
 use proptest::prelude::*;

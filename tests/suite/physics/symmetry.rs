@@ -1,7 +1,8 @@
 //! Symmetries: changes in time, space and number of vehicles that do not change the outcome.
 
+use crumple_fuzzing::RunSetup;
 use crumple_fuzzing::oracle::{check_same_impacts, is_grazing};
-use crumple_fuzzing::{DriverKind, RunSetup, ScenarioShape, make_scripted};
+use crumple_testing::generator::{DriverKind, ScenarioShape, make_scripted};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleClass, VehicleSpec};
 use crumple_world::sim::SimulationResult;

@@ -34,7 +34,8 @@ pub struct RetrainingPlan {
     pub initial_policy_name: String,
     /// Scenario spaces that are searched for counterexamples.
     pub spaces: SearchedSpaces,
-    /// Further scenarios that each round attacks, as they are and with the leader's worst-case braking.
+    /// Further scenarios that each round attacks, as they are and with the leader's worst-case braking. A policy must
+    /// be trainable on each ([`unsuitability`](crate::rl::unsuitability)).
     pub attacked: Vec<Scenario>,
     /// Spaces in which no round may make the policy worse, with distinct names.
     pub regression_spaces: Vec<ScenarioSpace>,

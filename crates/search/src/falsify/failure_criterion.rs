@@ -10,7 +10,7 @@ use std::str::FromStr;
 use serde::{Deserialize, Serialize};
 
 use crumple_world::measure::RunVerdict;
-use crumple_world::scenario::Scenario;
+use crumple_world::scenario::{Driver, Scenario, ScenarioSpec};
 use crumple_world::sim::{NamedController, UnknownController};
 
 /// A condition that a partner simulation must satisfy for a failure to count.
@@ -41,20 +41,29 @@ pub enum MetamorphicRelation {
         /// Additional friction coefficient.
         by: f64,
     },
+    /// The vehicles under test react earlier, as after an earlier warning.
+    EarlierReaction {
+        /// Difference of the reaction delays, in seconds.
+        by_s: f64,
+    },
 }
 
 /// The error of a relation that cannot be parsed.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-#[error("unknown relation `{0}`: use larger-gap=M, in metres above 0, or more-friction=F, above 0 and below 1")]
+#[error(
+    "unknown relation `{0}`: use larger-gap=M, in metres above 0, more-friction=F, above 0 and below 1, or \
+     earlier-reaction=S, in seconds above 0"
+)]
 pub struct UnknownRelation(String);
 
 const LARGER_GAP: &str = "larger-gap";
 const MORE_FRICTION: &str = "more-friction";
+const EARLIER_REACTION: &str = "earlier-reaction";
 
 impl MetamorphicRelation {
     /// Returns the partner of a scenario, with less of the change; `None` if it would be invalid.
     #[must_use]
-    pub(crate) fn partner(self, scenario: &Scenario) -> Option<Scenario> {
+    pub fn partner(self, scenario: &Scenario) -> Option<Scenario> {
         match self {
             Self::LargerGap { by_m } => {
                 let first = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index))?;
@@ -64,14 +73,23 @@ impl MetamorphicRelation {
                 (first > 0).then_some(nearer.ok()?)
             }
             Self::MoreFriction { by } => scenario.edited(|spec| spec.environment.friction -= by).ok(),
+            Self::EarlierReaction { by_s } => {
+                let delay = |spec: &mut ScenarioSpec| {
+                    let under_test = spec.vehicles.iter_mut().filter(|vehicle| vehicle.driver == Driver::UnderTest);
+                    under_test.for_each(|vehicle| vehicle.reaction_delay_s += by_s);
+                };
+                scenario.edited(delay).ok()
+            }
         }
     }
 
+    /// Describes the partner, as the end of a sentence.
     #[must_use]
-    pub(crate) fn describe_partner(self) -> String {
+    pub fn describe_partner(self) -> String {
         match self {
             Self::LargerGap { by_m } => format!("with {by_m} m less of a gap ahead at the start"),
             Self::MoreFriction { by } => format!("with a friction that is lower by {by}"),
+            Self::EarlierReaction { by_s } => format!("with reactions that are {by_s} s later"),
         }
     }
 }
@@ -81,6 +99,7 @@ impl fmt::Display for MetamorphicRelation {
         match self {
             Self::LargerGap { by_m } => write!(out, "{LARGER_GAP}={by_m}"),
             Self::MoreFriction { by } => write!(out, "{MORE_FRICTION}={by}"),
+            Self::EarlierReaction { by_s } => write!(out, "{EARLIER_REACTION}={by_s}"),
         }
     }
 }
@@ -95,6 +114,7 @@ impl FromStr for MetamorphicRelation {
         match (name, number.ok_or_else(unknown)?) {
             (LARGER_GAP, by_m) => Ok(Self::LargerGap { by_m }),
             (MORE_FRICTION, by) if by < 1.0 => Ok(Self::MoreFriction { by }),
+            (EARLIER_REACTION, by_s) => Ok(Self::EarlierReaction { by_s }),
             _ => Err(unknown()),
         }
     }
@@ -205,7 +225,7 @@ mod tests {
 
     #[test]
     fn relations_survive_their_texts() {
-        for text in ["larger-gap=2", "larger-gap=0.25", "more-friction=0.1"] {
+        for text in ["larger-gap=2", "larger-gap=0.25", "more-friction=0.1", "earlier-reaction=0.5"] {
             assert_eq!(text.parse::<MetamorphicRelation>().unwrap().to_string(), text);
         }
         for text in ["", "larger-gap", "larger-gap=", "larger-gap=-1", "larger-gap=nan", "more-friction=1", "less=1"] {
@@ -223,6 +243,9 @@ mod tests {
         assert_eq!(own[1..], partner[1..]);
         let slippery = MetamorphicRelation::MoreFriction { by: 0.25 }.partner(&scenario).unwrap();
         assert_eq!(slippery.spec().environment.friction, scenario.spec().environment.friction - 0.25);
+        let later = MetamorphicRelation::EarlierReaction { by_s: 0.2 }.partner(&scenario).unwrap();
+        let delays: Vec<_> = later.vehicles().iter().map(|vehicle| vehicle.reaction_delay_s).collect();
+        assert_eq!(delays, [0.0, 0.2, 0.0]);
         // An invalid scenario is no partner.
         assert!(MetamorphicRelation::LargerGap { by_m: 1e3 }.partner(&scenario).is_none());
         assert!(MetamorphicRelation::MoreFriction { by: 0.999 }.partner(&scenario).is_none());

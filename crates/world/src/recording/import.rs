@@ -66,7 +66,7 @@ pub struct ImportedRecording {
 /// in different folders share one sequence of numbers.
 ///
 /// # Errors
-/// [`RecordingError`] for the first recording that cannot be read, see [`load`].
+/// [`RecordingError`] for the first recording that cannot be read, see [`load`](super::load).
 pub fn import(
     paths: &[PathBuf],
     map: Option<&RecordingMap>,

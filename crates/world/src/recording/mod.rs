@@ -1,8 +1,9 @@
 //! Recorded traffic, and scenarios of its braking episodes.
 //!
-//! A [`RecordingMap`] states the meaning of the columns of a file. Two maps are built in and recognised by the first
-//! line: OpenACC (a platoon of instrumented cars: Makridis et al., "OpenACC. An open database of car-following
-//! experiments to study the properties of commercial ACC systems", Transportation Research Part C 125 (2021) 103047)
+//! A [`RecordingMap`](map::RecordingMap) states the meaning of the columns of a file. Two maps are built in and
+//! recognised by the first line: OpenACC (a platoon of instrumented cars: Makridis et al., "OpenACC. An open database
+//! of car-following experiments to study the properties of commercial ACC systems", Transportation Research Part C 125
+//! (2021) 103047),
 //! and car-following events (pairs cut out of traffic recordings such as NGSIM). [`find_episodes`] finds the brakings
 //! of a [`Recording`]; [`import()`] converts each episode to a scenario and lists the dropped parts.
 

@@ -150,10 +150,16 @@ impl<'a> TextRows<'a> {
             }
             if self.format.has_quotes {
                 while !fields.split_quoted(delimiter) {
-                    fields.text.push('\n');
-                    if fields.text.len() as u64 > MAX_ROW_BYTES || !self.read_line(&mut fields.text).map_err(error)? {
-                        let problem = "a quotation mark in this row is not closed";
-                        return Err(error(io::Error::new(io::ErrorKind::InvalidData, problem)));
+                    // Only a line with a quotation mark can close the field.
+                    let mut next = String::new();
+                    while !next.contains('"') {
+                        next.clear();
+                        if fields.text.len() as u64 > MAX_ROW_BYTES || !self.read_line(&mut next).map_err(error)? {
+                            let problem = "a quotation mark in this row is not closed";
+                            return Err(error(io::Error::new(io::ErrorKind::InvalidData, problem)));
+                        }
+                        fields.text.push('\n');
+                        fields.text += &next;
                     }
                 }
             } else {

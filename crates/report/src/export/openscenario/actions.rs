@@ -94,7 +94,8 @@ fn recorded_entries(recorded: &RecordedSpeeds, time_s: &[f64], speed_mps: &[f64]
     let off_mps = |(time_s, mps): (&f64, &f64)| (recorded.speed_at_mps(*time_s) - mps).abs();
     let follows = time_s.iter().zip(speed_mps).map(off_mps).all(|off_mps| off_mps <= 2.0 * PROFILE_TOLERANCE_MPS);
     let (first_s, last_s) = (recorded.time_s.first()?, recorded.time_s.last()?);
-    if !follows || *first_s != 0.0 || *last_s > *time_s.last()? {
+    // The recorded time is a sum of rounded durations.
+    if !follows || *first_s != 0.0 || *last_s > *time_s.last()? + 1e-9 {
         return None;
     }
     let before_s = std::iter::once(&0.0).chain(&recorded.time_s);

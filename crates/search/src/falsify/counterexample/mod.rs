@@ -33,6 +33,7 @@ pub use expected::{ExpectedFile, ExpectedVerdict, ReplayError, ReplayResult};
 pub(in crate::falsify) use record::Recorder;
 pub use record::SAME_FAILURE_DISTANCE;
 pub use records::{RecordedVerdicts, VerdictRecordReader};
+pub use shrink::{rounder_values, shrink};
 
 /// A distinct failure.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]

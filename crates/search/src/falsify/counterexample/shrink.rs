@@ -9,9 +9,9 @@ const NOMINAL_STEPS: usize = 4;
 const MAX_ROUNDING_SHARE: f64 = 0.1;
 const MAX_DECIMALS: i32 = 3;
 
-/// Returns the simplest values found for which `holds`, from `values`. Moves have a fixed order, the largest first:
-/// whole parameter to nominal; neighbouring pieces merged; part of the way to nominal; fewer decimals.
-pub(super) fn shrink(space: &ScenarioSpace, values: &[f64], holds: &mut dyn FnMut(&[f64]) -> bool) -> Vec<f64> {
+/// Returns the simplest values found for which `holds`, from `values` of the space. Moves have a fixed order, the
+/// largest first: whole parameter to nominal; neighbouring pieces merged; part of the way to nominal; fewer decimals.
+pub fn shrink(space: &ScenarioSpace, values: &[f64], holds: &mut dyn FnMut(&[f64]) -> bool) -> Vec<f64> {
     let mut current = values.to_vec();
     for _ in 0..MAX_ROUNDS {
         let before = current.clone();
@@ -96,24 +96,26 @@ fn round_values(parameter: &SpaceParameter, current: &mut Vec<f64>, holds: &mut 
         if parameter.nominal().get(run.start - parameter.coordinates().start) == Some(&value) {
             continue;
         }
-        'decimals: for decimals in -1..=MAX_DECIMALS {
-            let scale = 10f64.powi(decimals);
-            let scaled = value * scale;
-            let nearest = scaled.round() / scale;
-            let other = (if scaled.round() > scaled { scaled.floor() } else { scaled.ceil() }) / scale;
-            for rounded in [nearest, other] {
-                if rounded == value {
-                    break 'decimals;
-                }
-                let mut changed = current.clone();
-                changed.get_mut(run.clone()).unwrap_or_default().fill(rounded);
-                let near = (rounded - value).abs() <= MAX_ROUNDING_SHARE * (high - low);
-                if near && (low..=high).contains(&rounded) && attempt(current, changed, holds) {
-                    break 'decimals;
-                }
+        for rounded in rounder_values(value) {
+            let mut changed = current.clone();
+            changed.get_mut(run.clone()).unwrap_or_default().fill(rounded);
+            let near = (rounded - value).abs() <= MAX_ROUNDING_SHARE * (high - low);
+            if near && (low..=high).contains(&rounded) && attempt(current, changed, holds) {
+                break;
             }
         }
     }
+}
+
+/// Returns the numbers around a value that have fewer decimals, from tens to thousandths; the nearer side first.
+pub fn rounder_values(value: f64) -> impl Iterator<Item = f64> {
+    let at_scale = move |decimals| {
+        let scale = 10f64.powi(decimals);
+        let scaled = value * scale;
+        let other = if scaled.round() > scaled { scaled.floor() } else { scaled.ceil() };
+        [scaled.round() / scale, other / scale]
+    };
+    (-1..=MAX_DECIMALS).flat_map(at_scale).take_while(move |&rounded| rounded != value)
 }
 
 /// Returns the coordinates of a parameter, grouped by neighbouring pieces of equal value.

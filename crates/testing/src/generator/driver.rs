@@ -9,7 +9,8 @@ use crumple_world::scenario::{
     Brake, BrakeToSpeed, Driver, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds, VehicleSpec,
 };
 
-pub(super) const DRIVER_BYTES: usize = 26;
+/// Bytes of a driver.
+pub const DRIVER_BYTES: usize = 26;
 const MAX_ENTRIES: u8 = 5;
 
 pub(super) fn read_driver(kind: DriverKind, choices: &mut Choices<'_>) -> Driver {

@@ -6,8 +6,8 @@ use super::choices::Choices;
 use super::driver::{DRIVER_BYTES, make_scripted, read_driver};
 use super::shape::{MAX_VEHICLES, ScenarioShape};
 use crumple_world::scenario::{
-    Driver, Environment, GhostObject, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, SensorFaults, Sensors,
-    VehicleClass, VehicleSpec,
+    Driver, Environment, GhostObject, InvalidField, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, SensorFaults,
+    Sensors, VehicleClass, VehicleSpec, whole_multiple,
 };
 
 const ROAD_BYTES: usize = 24;
@@ -51,6 +51,22 @@ pub fn read_scenario_of_shape(shape: &ScenarioShape, from: &mut Unstructured<'_>
     });
     let vehicles = vehicles.collect();
     Scenario::new(scenario_spec(shape.step_s, vehicles, &mut road)).expect("valid by construction")
+}
+
+/// Returns the scenario with its step reduced to the longest divisor of a decision interval.
+///
+/// # Errors
+/// [`InvalidField`] if no scenario may have that step.
+pub fn with_compatible_step(scenario: &Scenario, interval_s: f64) -> Result<Scenario, InvalidField> {
+    let step_s = scenario.spec().step_s;
+    if whole_multiple(interval_s, step_s).is_some() {
+        return Ok(scenario.clone());
+    }
+    let step_s = interval_s / (interval_s / step_s).ceil();
+    scenario.edited(|spec| {
+        spec.duration_s = (spec.duration_s / step_s).round().max(1.0) * step_s;
+        spec.step_s = step_s;
+    })
 }
 
 /// Builds the specification; each vehicle's position is relative to its leader until here.
@@ -111,7 +127,7 @@ fn read_faults(choices: &mut Choices<'_>, duration_s: f64) -> SensorFaults {
 }
 
 /// Converts each position but the first from a gap into a position on the road, behind a leader at `leader_m`.
-fn place_vehicles(vehicles: &mut [VehicleSpec], leader_m: f64) {
+pub(crate) fn place_vehicles(vehicles: &mut [VehicleSpec], leader_m: f64) {
     let mut rear_bumper_m = None;
     for vehicle in vehicles {
         vehicle.position_m = rear_bumper_m.map_or(leader_m, |rear_bumper_m| rear_bumper_m - vehicle.position_m);

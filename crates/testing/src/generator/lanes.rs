@@ -9,10 +9,12 @@ use crumple_world::scenario::{LaneChange, Scenario, ScenarioSpec, VehicleSpec};
 /// Bytes of one change: occurrence, trigger and value. Each vehicle has one for entering, then one for leaving.
 const CHANGE_BYTES: usize = 4;
 
-pub(crate) const LANE_BYTES: usize = MAX_VEHICLES * 2 * CHANGE_BYTES;
+/// Bytes of the lane changes of a scenario.
+pub const LANE_BYTES: usize = MAX_VEHICLES * 2 * CHANGE_BYTES;
 
 /// Adds lane changes to scripted vehicles, if they are valid. No bytes add none.
-pub(crate) fn with_lane_changes(scenario: Scenario, from: &mut Unstructured<'_>) -> Scenario {
+#[must_use]
+pub fn with_lane_changes(scenario: Scenario, from: &mut Unstructured<'_>) -> Scenario {
     let mut choices = Choices::read_block(from, LANE_BYTES);
     let places: [fn(&mut VehicleSpec) -> &mut Option<LaneChange>; 2] =
         [|vehicle| &mut vehicle.enters, |vehicle| &mut vehicle.leaves];

@@ -4,27 +4,34 @@ use arbitrary::Unstructured;
 
 /// Source of choices from bytes. A zero byte, or a missing one, gives the nominal value; larger numbers give larger
 /// deviations. Shrinking or truncating the bytes therefore leads to the nominal case.
-pub(super) struct Choices<'b>(Unstructured<'b>);
+pub struct Choices<'b>(Unstructured<'b>);
 
 impl<'b> Choices<'b> {
-    pub(super) fn new(bytes: &'b [u8]) -> Self {
+    /// Reads choices from all of the bytes.
+    #[must_use]
+    pub fn new(bytes: &'b [u8]) -> Self {
         Self(Unstructured::new(bytes))
     }
 
     /// Takes the next `bytes` bytes as a block, so that later fields keep their place however many are used.
-    pub(super) fn read_block(from: &mut Unstructured<'b>, bytes: usize) -> Self {
+    #[must_use]
+    pub fn read_block(from: &mut Unstructured<'b>, bytes: usize) -> Self {
         Self::new(from.bytes(bytes.min(from.len())).unwrap_or_default())
     }
 
-    pub(super) fn read_sub_block(&mut self, bytes: usize) -> Self {
+    /// Takes the next bytes as a block, as [`Self::read_block`] does.
+    #[must_use]
+    pub fn read_sub_block(&mut self, bytes: usize) -> Self {
         Self::read_block(&mut self.0, bytes)
     }
 
-    pub(super) fn byte(&mut self) -> u8 {
+    /// Returns the next byte; nominally 0.
+    pub fn byte(&mut self) -> u8 {
         self.0.arbitrary().unwrap_or_default()
     }
 
-    pub(super) fn seed(&mut self) -> u64 {
+    /// Returns a seed of a scenario; nominally 0.
+    pub fn seed(&mut self) -> u64 {
         // Scenario files hold signed integers.
         self.0.arbitrary::<u64>().unwrap_or_default() >> 1
     }
@@ -34,12 +41,12 @@ impl<'b> Choices<'b> {
     }
 
     /// Returns a number from 0, the nominal value, to `most`.
-    pub(super) fn up_to(&mut self, most: f64) -> f64 {
+    pub fn up_to(&mut self, most: f64) -> f64 {
         most * self.unit_interval()
     }
 
     /// Returns a number between `nominal` and one end of a range; the lowest bit selects the end.
-    pub(super) fn around(&mut self, nominal: f64, [least, most]: [f64; 2]) -> f64 {
+    pub fn around(&mut self, nominal: f64, [least, most]: [f64; 2]) -> f64 {
         let bits = self.0.arbitrary::<u16>().unwrap_or_default();
         let share = f64::from(bits >> 1) / f64::from(u16::MAX >> 1);
         let end = if bits & 1 == 0 { most } else { least };
@@ -48,18 +55,19 @@ impl<'b> Choices<'b> {
     }
 
     /// True, which is not nominal, in about `times` of 256 cases.
-    pub(super) fn chance(&mut self, times: u8) -> bool {
+    pub fn chance(&mut self, times: u8) -> bool {
         self.byte() > u8::MAX - times
     }
 
     /// Returns a value in about `times` of 256 cases; nominally `None`.
-    pub(super) fn optional(&mut self, times: u8, value: impl FnOnce(&mut Self) -> f64) -> Option<f64> {
+    pub fn optional(&mut self, times: u8, value: impl FnOnce(&mut Self) -> f64) -> Option<f64> {
         let happens = self.chance(times);
         let value = value(self);
         happens.then_some(value)
     }
 
-    pub(super) fn choose<T: Copy>(&mut self, all: &[T]) -> Option<T> {
+    /// Returns one of the values, nominally the first; `None` if there are none.
+    pub fn choose<T: Copy>(&mut self, all: &[T]) -> Option<T> {
         all.get(usize::from(self.byte()) % all.len().max(1)).copied()
     }
 }

@@ -1,0 +1,287 @@
+//! Tests of a controller in many scenarios.
+
+use std::path::{Path, PathBuf};
+use std::{env, fs, thread};
+
+use crumple_core::digest::sha256;
+use crumple_core::quoting::ShellWord;
+use crumple_world::control::ControllerKind;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::random::{Purpose, stream};
+use crumple_world::scenario::Scenario;
+use crumple_world::scenario::file::{load_all, to_toml};
+use rayon::prelude::*;
+
+use super::failure::{CheckError, CheckSummary, PropertyFailure};
+use super::generator::with_compatible_step;
+use super::shrink::{ShrunkScenario, shrink};
+use super::{ControllerUnderTest, Property, PropertyVerdict, Scenarios, ScenariosError, drawing};
+
+const DEFAULT_CASES: u32 = 256;
+/// Environment variables: number of cases and seed of every check, and a scenario file that replaces all cases.
+const CASES: &str = "CRUMPLE_TEST_CASES";
+const SEED: &str = "CRUMPLE_TEST_SEED";
+const REPLAY: &str = "CRUMPLE_TEST_REPLAY";
+
+/// A test of a controller: properties that it must have in scenarios.
+///
+/// One seed determines all scenarios, for any number of threads.
+#[derive(Debug)]
+#[must_use]
+pub struct ControllerCheck {
+    controller: ControllerUnderTest,
+    scenarios: Result<Scenarios, ScenariosError>,
+    properties: Vec<Property>,
+    cases: u32,
+    seed: u64,
+    corpus: PathBuf,
+}
+
+/// Creates a test of a controller: a built-in one, one that [`NamedController`](crumple_world::sim::NamedController)
+/// finds, an `Arc` of a [`ControllerSource`](crumple_world::control::ControllerSource), or a function
+/// ([`stateless`](super::stateless)).
+///
+/// The test has 256 cases in any scenarios, and by default the property [`Property::no_avoidable_collision`].
+///
+/// ```
+/// use crumple_testing::{Property, check, stateless};
+///
+/// let brake = check(stateless(|_| -9.0)).on("traffic").property(Property::no_unnecessary_braking()).cases(10);
+/// # let brake = brake.corpus(std::env::temp_dir().join("crumple-testing-doctest"));
+/// assert!(brake.run().unwrap_err().to_string().contains("no unnecessary braking"));
+/// ```
+pub fn check(controller: impl Into<ControllerKind>) -> ControllerCheck {
+    let folder = env::var_os("CARGO_MANIFEST_DIR").map(PathBuf::from).unwrap_or_default();
+    ControllerCheck {
+        controller: ControllerUnderTest { kind: controller.into(), estimator: EstimatorKind::default() },
+        scenarios: Ok(Scenarios::any()),
+        properties: Vec::new(),
+        cases: cases(DEFAULT_CASES),
+        seed: number_in(SEED).unwrap_or(0),
+        corpus: folder.join("crumple-corpus").join(test_name().replace("::", "-")),
+    }
+}
+
+impl ControllerCheck {
+    /// Sets the scenarios: [`Scenarios`], or the name of a built-in space, the path of a space file or of a folder of
+    /// scenario files, or `any`.
+    pub fn on<S: TryInto<Scenarios>>(mut self, scenarios: S) -> Self
+    where
+        ScenariosError: From<S::Error>,
+    {
+        self.scenarios = scenarios.try_into().map_err(Into::into);
+        self
+    }
+
+    /// Adds a property.
+    pub fn property(mut self, property: Property) -> Self {
+        self.properties.push(property);
+        self
+    }
+
+    /// Sets the number of cases, unless the environment variable `CRUMPLE_TEST_CASES` does.
+    pub fn cases(mut self, normal: u32) -> Self {
+        self.cases = cases(normal);
+        self
+    }
+
+    /// Sets the seed of all scenarios, unless the environment variable `CRUMPLE_TEST_SEED` does; by default 0.
+    pub fn seed(mut self, seed: u64) -> Self {
+        self.seed = number_in(SEED).unwrap_or(seed);
+        self
+    }
+
+    /// Sets the estimator of the controller's observations; by default a Kalman filter of noisy sensors.
+    pub fn estimator(mut self, estimator: EstimatorKind) -> Self {
+        self.controller.estimator = estimator;
+        self
+    }
+
+    /// Sets the folder for failures, which the next run starts with; by default `crumple-corpus/TEST` in the package.
+    pub fn corpus(mut self, folder: impl Into<PathBuf>) -> Self {
+        self.corpus = folder.into();
+        self
+    }
+
+    /// Runs the test and panics if it fails.
+    ///
+    /// # Panics
+    /// For a [`CheckError`].
+    #[expect(clippy::panic, reason = "test programs report panics")]
+    pub fn assert(self) {
+        if let Err(error) = self.run() {
+            panic!("{error}");
+        }
+    }
+
+    /// Evaluates the scenario of a fuzzer's input and panics if a property is violated.
+    ///
+    /// # Panics
+    /// For a [`CheckError`], after shrinking; the scenario is in the corpus.
+    #[expect(clippy::panic, reason = "fuzzers report panics")]
+    pub fn assert_input(&self, bytes: &[u8]) {
+        let scenarios = self.scenarios.as_ref().unwrap_or_else(|error| panic!("{error}"));
+        for property in &self.properties() {
+            if let PropertyVerdict::Violated(_) = self.evaluate(property, &scenarios.read(bytes)) {
+                let count = "an input of a fuzzer violates it".to_owned();
+                match self.shrink_and_write(property, scenarios, bytes, count) {
+                    Ok(failure) => panic!("{failure}"),
+                    Err(error) => panic!("{error}"),
+                }
+            }
+        }
+    }
+
+    fn properties(&self) -> Vec<Property> {
+        if self.properties.is_empty() { vec![Property::no_avoidable_collision()] } else { self.properties.clone() }
+    }
+
+    /// Evaluates the scenarios of the corpus and then random ones.
+    ///
+    /// # Errors
+    /// [`CheckError`], for the first violated property of the first scenario.
+    pub fn run(mut self) -> Result<CheckSummary, CheckError> {
+        let properties = self.properties();
+        let scenarios = std::mem::replace(&mut self.scenarios, Ok(Scenarios::any()))?;
+        let replayed = env::var_os(REPLAY).map(PathBuf::from);
+        let known = replayed.as_deref().unwrap_or(&self.corpus);
+        let known = if known.exists() || replayed.is_some() { load_all(known)? } else { Vec::new() };
+        for (file, scenario) in known {
+            for property in &properties {
+                if let PropertyVerdict::Violated(finding) = self.evaluate(property, &scenario) {
+                    let shrunk = ShrunkScenario { scenario, changes: Vec::new() };
+                    let count = "a scenario of the corpus".to_owned();
+                    return Err(Box::new(self.failure(property, finding, shrunk, file, count)).into());
+                }
+            }
+        }
+        let cases = if replayed.is_some() { 0 } else { self.cases };
+        let all: Vec<Vec<u8>> = (0..u64::from(cases))
+            .map(|case| scenarios.random_bytes(&mut stream(self.seed, Purpose::ScenarioSampling, case)))
+            .collect();
+        let mut summary = CheckSummary { evaluated: 0, not_applicable: 0 };
+        for property in &properties {
+            let verdicts: Vec<_> =
+                all.par_iter().map(|bytes| self.evaluate(property, &scenarios.read(bytes))).collect();
+            let is_violated = |verdict: &PropertyVerdict| matches!(verdict, PropertyVerdict::Violated(_));
+            if let Some(bytes) = verdicts.iter().position(is_violated).and_then(|first| all.get(first)) {
+                let failing = verdicts.iter().filter(|verdict| is_violated(verdict)).count();
+                let count = format!("{failing} of {} cases violate it (seed {})", self.cases, self.seed);
+                return Err(self.shrink_and_write(property, &scenarios, bytes, count)?.into());
+            }
+            let mut reasons = verdicts.iter().filter_map(|verdict| match verdict {
+                PropertyVerdict::NotApplicable(reason) => Some(reason),
+                _ => None,
+            });
+            let not_applicable = reasons.clone().count();
+            if let Some(reason) = reasons.next_back().filter(|_| not_applicable == verdicts.len()) {
+                let property = property.name().to_owned();
+                return Err(CheckError::NotTested { property, reason: reason.clone() });
+            }
+            summary.evaluated += verdicts.len();
+            summary.not_applicable += not_applicable;
+        }
+        Ok(summary)
+    }
+
+    fn evaluate(&self, property: &Property, scenario: &Scenario) -> PropertyVerdict {
+        property.evaluate(&self.controller, &self.adapt(scenario))
+    }
+
+    /// Returns the scenario with a step that suits the controller's decision interval.
+    fn adapt(&self, scenario: &Scenario) -> Scenario {
+        let adapted = self.controller.kind.interval_s().and_then(|at_s| with_compatible_step(scenario, at_s).ok());
+        adapted.unwrap_or_else(|| scenario.clone())
+    }
+
+    fn shrink_and_write(
+        &self,
+        property: &Property,
+        scenarios: &Scenarios,
+        bytes: &[u8],
+        count: String,
+    ) -> Result<Box<PropertyFailure>, CheckError> {
+        let mut simulated = 0;
+        let mut shrunk = shrink(scenarios, bytes, &mut |scenario| {
+            simulated += 1;
+            matches!(self.evaluate(property, scenario), PropertyVerdict::Violated(_))
+        });
+        shrunk.scenario = self.adapt(&shrunk.scenario);
+        let PropertyVerdict::Violated(finding) = self.evaluate(property, &shrunk.scenario) else {
+            let finding = "the controller is not deterministic: a failure does not recur".to_owned();
+            return Ok(Box::new(self.failure(property, finding, shrunk, PathBuf::new(), String::new())));
+        };
+        let text = to_toml(&shrunk.scenario).unwrap_or_default();
+        let slug = property.name().replace(|letter: char| !letter.is_ascii_alphanumeric(), "-");
+        let name = format!("{}-{}", slug.get(..40).unwrap_or(&slug), sha256(&text).get(..8).unwrap_or_default());
+        let file = self.corpus.join(name).with_extension("toml");
+        let count = format!("{count}; shrunk by {simulated} evaluations");
+        let write = || {
+            fs::create_dir_all(&self.corpus)?;
+            let curves = self.curves(&shrunk.scenario);
+            fs::write(file.with_extension("svg"), drawing::to_svg(&curves, shrunk.scenario.spec().duration_s))?;
+            fs::write(&file, text)
+        };
+        write().map_err(|source| CheckError::Write { path: self.corpus.clone(), source })?;
+        Ok(Box::new(self.failure(property, finding, shrunk, file, count)))
+    }
+
+    fn failure(
+        &self,
+        property: &Property,
+        finding: String,
+        shrunk: ShrunkScenario,
+        file: PathBuf,
+        count: String,
+    ) -> PropertyFailure {
+        let ShrunkScenario { scenario, changes } = shrunk;
+        let drawing = drawing::to_text(&self.curves(&scenario));
+        let replay = self.replay_commands(&file);
+        PropertyFailure {
+            property: property.name().to_owned(),
+            finding,
+            scenario,
+            file,
+            changes,
+            count,
+            replay,
+            drawing,
+        }
+    }
+
+    fn curves(&self, scenario: &Scenario) -> Vec<drawing::Curve> {
+        let run = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| self.controller.simulate(scenario)));
+        let trace = run.ok().and_then(Result::ok).and_then(|result| result.trace);
+        trace.map_or_else(Vec::new, |trace| drawing::curves(scenario, &trace))
+    }
+
+    fn replay_commands(&self, file: &Path) -> Vec<String> {
+        let file = file.to_string_lossy();
+        let package = env::var("CARGO_PKG_NAME").map_or_else(|_| String::new(), |name| format!(" -p {name}"));
+        let test = format!("{REPLAY}={} cargo test{package} {}", ShellWord(&file), test_name());
+        let name = match &self.controller.kind {
+            ControllerKind::BuiltIn(spec) => Some(spec.to_arg()),
+            other => other.file().map(|path| path.to_string_lossy().into_owned()),
+        };
+        let simulate = |name: String| {
+            let estimator = self.controller.estimator.name();
+            let controller = ShellWord(&name);
+            format!("crumple simulate {} --controller {controller} --estimator {estimator}", ShellWord(&file))
+        };
+        std::iter::once(test).chain(name.map(simulate)).collect()
+    }
+}
+
+/// Returns the number of cases of a test: `normal`, or that of the environment variable `CRUMPLE_TEST_CASES`.
+fn cases(normal: u32) -> u32 {
+    number_in(CASES).unwrap_or(normal)
+}
+
+fn number_in<T: std::str::FromStr>(variable: &str) -> Option<T> {
+    env::var(variable).ok()?.parse().ok()
+}
+
+/// Returns the path of the running test: test programs name its thread after it.
+fn test_name() -> String {
+    thread::current().name().unwrap_or("main").to_owned()
+}

@@ -1,0 +1,225 @@
+//! Properties that a controller must have in every scenario.
+
+use std::any::Any;
+use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+
+use crumple_search::falsify::MetamorphicRelation;
+use crumple_search::falsify::counterexample::Avoidability;
+use crumple_world::control::ControllerKind;
+use crumple_world::measure::{
+    DrivingRule, JERK_WINDOW_S, RunVerdict, Specification, SpecificationError, SpeedAmplification, peak_jerk_mps3,
+};
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::SimulationResult;
+
+use super::ControllerUnderTest;
+
+/// Verdict of a property in one scenario.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum PropertyVerdict {
+    /// The property holds.
+    Holds,
+    /// The scenario does not test the property, for this reason.
+    NotApplicable(String),
+    /// The property is violated; the text says how.
+    Violated(String),
+}
+
+type VerdictFn = dyn Fn(&ControllerUnderTest, &Scenario) -> Result<PropertyVerdict, SpecificationError> + Send + Sync;
+
+/// A property that a controller must have in every scenario.
+///
+/// A panic of the controller violates any property, and so does an answer that is not finite.
+#[derive(Clone)]
+pub struct Property {
+    name: String,
+    evaluate: Arc<VerdictFn>,
+}
+
+impl fmt::Debug for Property {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.debug_tuple("Property").field(&self.name).finish()
+    }
+}
+
+impl Property {
+    /// Creates a property from a function. A scenario for which the function returns an error does not test it.
+    pub fn new(
+        name: impl Into<String>,
+        evaluate: impl Fn(&ControllerUnderTest, &Scenario) -> Result<PropertyVerdict, SpecificationError>
+        + Send
+        + Sync
+        + 'static,
+    ) -> Self {
+        Self { name: name.into(), evaluate: Arc::new(evaluate) }
+    }
+
+    /// No collision that some driver of the vehicles under test could have avoided, in front of them or behind.
+    #[must_use]
+    pub fn no_avoidable_collision() -> Self {
+        Self::new("no avoidable collision", |controller, scenario| {
+            let verdict = controller.evaluate(&Specification::NoContact, scenario)?;
+            if verdict.contact.is_none() {
+                return Ok(from_run(&verdict));
+            }
+            let avoidability = Avoidability::classify_contact(scenario);
+            Ok(match (avoidability.is_avoidable(), avoidability.describe().unwrap_or_default()) {
+                (Some(true), reason) => PropertyVerdict::Violated(format!("{}; {reason}", describe(&verdict))),
+                (Some(false), _) => PropertyVerdict::Holds,
+                (None, reason) => PropertyVerdict::NotApplicable(reason),
+            })
+        })
+    }
+
+    /// No braking harder than the traffic justifies ([`DrivingRule::NoUnnecessaryBraking`]).
+    #[must_use]
+    pub fn no_unnecessary_braking() -> Self {
+        Self::new("no unnecessary braking", |controller, scenario| {
+            let rule = Specification::DrivingRule(DrivingRule::NoUnnecessaryBraking);
+            Ok(from_run(&controller.evaluate(&rule, scenario)?))
+        })
+    }
+
+    /// No vehicle deviates more from its speed than its leader, from the leader's first change of speed on. Meant for
+    /// [`Scenarios::line_of_five`](super::Scenarios::line_of_five).
+    #[must_use]
+    pub fn string_stability() -> Self {
+        Self::new("string stability", |controller, scenario| {
+            let result = controller.simulate(scenario)?;
+            if !result.outcome.is_safe() {
+                return Ok(PropertyVerdict::Violated("vehicles of the line collide".to_owned()));
+            }
+            let amplification = result.trace.as_ref().and_then(|trace| {
+                let leader = trace.vehicles.first()?;
+                let onset = leader.acceleration_mps2.iter().position(|&acceleration_mps2| acceleration_mps2 != 0.0)?;
+                SpeedAmplification::from_trace(trace, *trace.time_s.get(onset)?)
+            });
+            let Some(found) = amplification else {
+                return Ok(PropertyVerdict::NotApplicable(
+                    "the line does not settle before the disturbance".to_owned(),
+                ));
+            };
+            let worst = found.of_each.iter().flatten().fold(0.0, |worst: f64, &ratio| worst.max(ratio));
+            Ok(violated_if(found.has_amplification(), || {
+                format!("a vehicle deviates {worst:.2} times as much from its speed as its leader")
+            }))
+        })
+    }
+
+    /// No larger jerk of a vehicle under test, in m/s³, as [`peak_jerk_mps3`] measures it.
+    #[must_use]
+    pub fn bounded_jerk(max_mps3: f64) -> Self {
+        Self::new(format!("jerk of at most {max_mps3} m/s³"), move |controller, scenario| {
+            let result = controller.simulate(scenario)?;
+            let trace = result.trace.as_ref().ok_or(SpecificationError::NoTrace)?;
+            let under_test = trace.vehicles.iter().enumerate().filter(|(index, _)| scenario.is_under_test(*index));
+            let of_each = under_test.filter_map(|(_, track)| peak_jerk_mps3(&trace.time_s, track, JERK_WINDOW_S));
+            let peak_mps3 = of_each.fold(0.0, f64::max);
+            Ok(failure_of(&result)
+                .unwrap_or_else(|| violated_if(peak_mps3 > max_mps3, || format!("the jerk is {peak_mps3:.1} m/s³"))))
+        })
+    }
+
+    /// A specification: `no contact`, a driving rule, or a formula of signal temporal logic
+    /// ([`Specification::parse`]). A scenario without the signals of the formula does not test it.
+    #[must_use]
+    pub fn specification(text: &str) -> Self {
+        let text = text.to_owned();
+        Self::new(text.clone(), move |controller, scenario| {
+            Ok(from_run(&controller.evaluate(&Specification::parse(&text, scenario)?, scenario)?))
+        })
+    }
+
+    /// No collision in a scenario that this reference passes.
+    #[must_use]
+    pub fn not_worse_than(reference: impl Into<ControllerKind>) -> Self {
+        let kind = reference.into();
+        Self::new("no collision that the reference avoids", move |controller, scenario| {
+            let reference = ControllerUnderTest { kind: kind.clone(), ..controller.clone() };
+            differs(controller.evaluate(&Specification::NoContact, scenario)?, "the reference avoids it", || {
+                reference.evaluate(&Specification::NoContact, scenario)
+            })
+        })
+    }
+
+    /// No collision that disappears in a harder scenario: with less of a gap, less friction, or a later reaction.
+    #[must_use]
+    pub fn metamorphic(relation: MetamorphicRelation) -> Self {
+        Self::new(format!("{relation} makes nothing worse"), move |controller, scenario| {
+            let reason = format!("there is none {}", relation.describe_partner());
+            let Some(partner) = relation.partner(scenario) else {
+                return Ok(PropertyVerdict::NotApplicable("the partner scenario would be invalid".to_owned()));
+            };
+            differs(controller.evaluate(&Specification::NoContact, scenario)?, &reason, || {
+                controller.evaluate(&Specification::NoContact, &partner)
+            })
+        })
+    }
+
+    /// Equal runs of a scenario, without a panic and with an answer to every observation.
+    #[must_use]
+    pub fn deterministic() -> Self {
+        Self::new("deterministic", |controller, scenario| {
+            let [first, second] = [controller.simulate(scenario)?, controller.simulate(scenario)?];
+            Ok(failure_of(&first)
+                .unwrap_or_else(|| violated_if(first != second, || "two runs of the scenario differ".to_owned())))
+        })
+    }
+
+    /// Returns the name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Evaluates a controller in a scenario.
+    #[must_use]
+    pub fn evaluate(&self, controller: &ControllerUnderTest, scenario: &Scenario) -> PropertyVerdict {
+        match catch_unwind(AssertUnwindSafe(|| (self.evaluate)(controller, scenario))) {
+            Ok(Ok(verdict)) => verdict,
+            Ok(Err(error)) => PropertyVerdict::NotApplicable(error.to_string()),
+            Err(panic) => {
+                PropertyVerdict::Violated(format!("the controller panics: {}", panic_message(panic.as_ref())))
+            }
+        }
+    }
+}
+
+fn violated_if(condition: bool, finding: impl FnOnce() -> String) -> PropertyVerdict {
+    if condition { PropertyVerdict::Violated(finding()) } else { PropertyVerdict::Holds }
+}
+
+fn from_run(verdict: &RunVerdict) -> PropertyVerdict {
+    violated_if(verdict.is_violation(), || describe(verdict))
+}
+
+/// Returns the verdict of a run that may fail only if the run to compare with fails, too.
+fn differs(
+    own: RunVerdict,
+    reason: &str,
+    other: impl FnOnce() -> Result<RunVerdict, SpecificationError>,
+) -> Result<PropertyVerdict, SpecificationError> {
+    Ok(violated_if(own.is_violation() && !other()?.is_violation(), || format!("{}; {reason}", describe(&own))))
+}
+
+fn describe(verdict: &RunVerdict) -> String {
+    match (verdict.failure, verdict.contact) {
+        (Some((time_s, vehicle)), _) => format!("the controller of vehicle {vehicle} gives no answer at {time_s:.2} s"),
+        (None, Some(contact)) => format!(
+            "vehicle {} hits vehicle {} at {:.2} s with {:.1} m/s (robustness {:.3})",
+            contact.rear_vehicle, contact.front_vehicle, contact.time_s, contact.impact_speed_mps, verdict.robustness
+        ),
+        (None, None) => format!("robustness {:.3}", verdict.robustness),
+    }
+}
+
+fn failure_of(result: &SimulationResult) -> Option<PropertyVerdict> {
+    result.outcome.failed_controller().map(|failed| PropertyVerdict::Violated(failed.reason()))
+}
+
+fn panic_message(panic: &(dyn Any + Send)) -> &str {
+    let text = panic.downcast_ref::<String>().map(String::as_str);
+    text.or_else(|| panic.downcast_ref::<&str>().copied()).unwrap_or("no message")
+}

@@ -1,0 +1,88 @@
+//! Planted defects are found, and their scenarios shrink to few changes.
+#![expect(clippy::panic, clippy::unwrap_used, reason = "a test may panic, also in its functions")]
+
+use crumple_testing::world::observation::{EstimatorKind, Observation};
+use crumple_testing::{CheckError, MetamorphicRelation, Property, PropertyFailure, Scenarios, check, stateless};
+
+/// The Intelligent Driver Model, with up to 9 m/s² of braking.
+fn sound(seen: &Observation) -> f64 {
+    let free = 1.0 - (seen.speed_mps / 33.0).powi(4);
+    let Some(ahead) = seen.ahead else { return free };
+    let closing_mps = seen.speed_mps - ahead.speed_mps;
+    let wanted_m = 2.0 + (1.2 * seen.speed_mps + seen.speed_mps * closing_mps / 2.4).max(0.0);
+    (free - (wanted_m / ahead.gap_m.max(0.1)).powi(2)).clamp(-9.0, 1.5)
+}
+
+type Defect = fn(&Observation) -> f64;
+
+fn gap_m(seen: &Observation) -> f64 {
+    seen.ahead.map_or(f64::INFINITY, |ahead| ahead.gap_m)
+}
+
+fn is_closing(seen: &Observation) -> bool {
+    seen.ahead.is_some_and(|ahead| ahead.speed_mps < seen.speed_mps)
+}
+
+fn failure_of(defect: Defect, space: &str, property: &Property) -> Box<PropertyFailure> {
+    let folder = tempfile::tempdir().unwrap();
+    let test = |decide: Defect| check(stateless(decide)).on(space).property(property.clone()).corpus(folder.path());
+    test(sound).cases(50).run().unwrap();
+    let first = test(defect).cases(300).run();
+    let Err(CheckError::Violated(failure)) = first else { panic!("{}: {first:?}", property.name()) };
+    assert!(failure.file.with_extension("svg").exists());
+    // The next run evaluates the written scenario first.
+    let Err(CheckError::Violated(again)) = test(defect).run() else { panic!("a corpus without a failure") };
+    assert_eq!((&again.file, &again.scenario, &again.finding), (&failure.file, &failure.scenario, &failure.finding));
+    failure
+}
+
+#[test]
+fn metamorphic_relations_and_string_stability_find_defects() {
+    let relation = Property::metamorphic(MetamorphicRelation::LargerGap { by_m: 5.0 });
+    let blind: Defect = |seen| if gap_m(seen) > 30.0 { 0.0 } else { sound(seen).max(-4.0) };
+    failure_of(blind, "alone", &relation);
+
+    let line = |gain: f64| {
+        let folder = tempfile::tempdir().unwrap();
+        let follower = move |seen: &Observation| {
+            let spacing_error_m = gap_m(seen) - 2.0 - 1.5 * seen.speed_mps;
+            seen.ahead.map_or(0.0, |ahead| 0.1 * spacing_error_m + gain * (ahead.speed_mps - seen.speed_mps))
+        };
+        let test = check(stateless(follower)).on(Scenarios::line_of_five().unwrap()).corpus(folder.path());
+        test.property(Property::string_stability()).estimator(EstimatorKind::Truth).cases(20).run()
+    };
+    line(1.5).unwrap();
+    assert!(matches!(line(0.0), Err(CheckError::Violated(_))));
+}
+
+#[test]
+fn ten_planted_defects_shrink_to_few_changes() {
+    let not_worse = || Property::not_worse_than(stateless(sound));
+    let planted: [(&str, Property, Defect); 10] =
+        [
+            ("high-risk", not_worse(), |seen| if seen.speed_mps > 30.0 { 0.0 } else { sound(seen) }),
+            ("high-risk", not_worse(), |seen| if gap_m(seen) > 40.0 { 0.0 } else { sound(seen) }),
+            ("high-risk", not_worse(), |seen| sound(seen).max(if seen.speed_mps > 28.0 { -2.5 } else { -9.0 })),
+            ("high-risk", not_worse(), |seen| if is_closing(seen) { 0.5 * sound(seen) } else { sound(seen) }),
+            ("high-risk", Property::deterministic(), |seen| if gap_m(seen) > 50.0 { f64::NAN } else { sound(seen) }),
+            ("high-risk", Property::deterministic(), |seen| {
+                assert!(seen.speed_mps < 35.0, "a table ends at 35 m/s");
+                sound(seen)
+            }),
+            ("traffic", Property::no_unnecessary_braking(), |seen| {
+                if seen.behind.is_some_and(|behind| behind.gap_m < 15.0) { -6.0 } else { sound(seen) }
+            }),
+            ("traffic", Property::bounded_jerk(25.0), |seen| if seen.speed_mps < 12.0 { -4.0 } else { sound(seen) }),
+            ("traffic", Property::specification("always v1.speed_mps < 36"), |seen| {
+                if gap_m(seen) > 50.0 { 1.5 } else { sound(seen) }
+            }),
+            ("alone", not_worse(), |seen| {
+                if seen.ahead.is_some_and(|ahead| ahead.speed_mps < 1.0) { 0.0 } else { sound(seen) }
+            }),
+        ];
+    let failures = planted.map(|(space, property, defect)| failure_of(defect, space, &property));
+    let few = failures.iter().filter(|failure| failure.changes.len() <= 2).count();
+    let changes: Vec<_> = failures.iter().map(|failure| &failure.changes).collect();
+    assert!(changes.iter().all(|changes| !changes.is_empty()), "nominal scenarios pass: {changes:#?}");
+    assert!(few >= 8, "{few} of 10: {changes:#?}");
+}
