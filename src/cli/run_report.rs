@@ -16,6 +16,9 @@ pub(super) struct RunReport<'a> {
     pub(super) estimator: &'static str,
     pub(super) dt_s: f64,
     pub(super) seed: u64,
+    /// Plant of the vehicles that a controller drives, if `--plant` sets it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub(super) plant: Option<&'static str>,
     /// True if the controller declares that it is not deterministic.
     #[serde(skip_serializing_if = "std::ops::Not::not")]
     pub(super) nondeterministic: bool,
@@ -69,7 +72,8 @@ pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
     let mut line = |line: String| {
         text += &format!("{}\n", TerminalText(line.trim_end()));
     };
-    line(format!("{name}: {controller}, estimator {estimator}, dt {dt_s} s, seed {seed}"));
+    let plant = report.plant.map_or_else(String::new, |plant| format!(", plant {plant}"));
+    line(format!("{name}: {controller}, estimator {estimator}, dt {dt_s} s, seed {seed}{plant}"));
     if report.nondeterministic {
         line("  the controller declares that it is not deterministic: another run may give another result".to_owned());
     }

@@ -7,13 +7,14 @@ use clap::{Args, ValueEnum};
 use super::output;
 use super::run_report::{RunReport, SpecificationResult, describe, fell_behind, lane_changes, unnecessary_braking};
 use super::{CliError, args, feature, value_enums};
+use crumple_evidence::RateInterval;
 use crumple_report::draw::{self, MotionFigure, PanelArrangement};
 use crumple_report::export;
 use crumple_search::falsify::counterexample::{ExpectedFile, VerdictRecordReader};
 use crumple_store::disk::StagedFiles;
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Scenario, built_in_scenario, file};
+use crumple_world::scenario::{Driver, PlantKind, Scenario, ScenarioSpec, built_in_scenario, file};
 use crumple_world::sim::{
     AfterContact, Impact, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Trace, simulate,
     simulate_batch,
@@ -43,7 +44,7 @@ Examples:
   crumple simulate paper-1 --controller idm --spec 'always v1.time_gap_s > 0.3' \\
     --spec 'no contact' --expect satisfied")]
 pub(super) struct Simulate {
-    /// Built-in scenarios (see `crumple list scenarios`) or scenario files
+    /// Built-in scenarios (see `crumple list scenarios`), scenario files, or folders of scenario files
     #[arg(required = true, value_name = "SCENARIO")]
     scenarios: Vec<String>,
     /// Controller of the vehicles under test (see `crumple list controllers`), with settings as in `acc-aeb,ttc_s=2.0`,
@@ -64,6 +65,9 @@ pub(super) struct Simulate {
     /// Behaviour after a collision
     #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = value_enums::after_contact())]
     after_contact: AfterContact,
+    /// Plant of all vehicles that a controller drives, instead of the scenario's; scripted vehicles keep their motion
+    #[arg(long, value_name = "PLANT", value_parser = value_enums::one_of(value_enums::PLANTS))]
+    plant: Option<PlantKind>,
     /// Plot position, speed and spacing over time; replaces an existing file
     #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| parse_path_ending_in(path, ["svg", "png"]))]
     plot: Option<PathBuf>,
@@ -148,7 +152,8 @@ fn parse_seconds(text: &str) -> Result<f64, String> {
 }
 
 impl Simulate {
-    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+    pub(super) fn run(mut self, quiet: bool) -> Result<(), CliError> {
+        self.scenarios = list_scenario_files(self.scenarios)?;
         if self.spec.is_empty() && matches!(self.expect, Some(RunExpectation::Satisfied | RunExpectation::Violated)) {
             return Err(CliError::Input("--expect: `satisfied` and `violated` need a --spec".to_owned()));
         }
@@ -183,8 +188,11 @@ impl Simulate {
             files.stage(&output::resolve_output_path(path)?, contents)?;
         }
         files.commit()?;
-        let printed =
-            output::print_coloured(self.format, &results.iter().map(|result| result.text.as_str()).collect::<String>());
+        let mut text: String = results.iter().map(|result| result.text.as_str()).collect();
+        if let (Some(plant), true, OutputFormat::Text) = (self.plant, many, self.format) {
+            text += &describe_collision_share(plant, &results);
+        }
+        let printed = output::print_coloured(self.format, &text);
         CliError::gate_first(self.check_expectation(&runs, &results), printed)
     }
 
@@ -244,9 +252,18 @@ impl Simulate {
 
     fn load_scenario(&self, name: &str) -> Result<Scenario, CliError> {
         let scenario = args::load_scenario(name)?;
-        match self.seed {
+        let scenario = match self.seed {
+            None => scenario,
+            Some(seed) => {
+                scenario.edited(|spec| spec.seed = seed).map_err(|e| CliError::Input(format!("--seed: {e}")))?
+            }
+        };
+        match self.plant {
             None => Ok(scenario),
-            Some(seed) => scenario.edited(|spec| spec.seed = seed).map_err(|e| CliError::Input(format!("--seed: {e}"))),
+            Some(plant) => {
+                let changed = scenario.edited(|spec| set_plant(spec, plant));
+                changed.map_err(|error| CliError::Input(format!("--plant: {error}")))
+            }
         }
     }
 
@@ -271,6 +288,7 @@ impl Simulate {
             estimator: self.estimator.name(),
             dt_s: run.dt_s(),
             seed: spec.seed,
+            plant: self.plant.map(PlantKind::name),
             nondeterministic: !self.controller.kind.is_deterministic(),
             outcome: result.outcome.clone(),
             vehicles: &result.vehicles,
@@ -316,6 +334,46 @@ impl Simulate {
         }
         Err(CliError::Gate(format!("expected {} in {}", expected.description(), otherwise.join(", "))))
     }
+}
+
+/// Replaces each folder by its scenario files, in order of their names.
+fn list_scenario_files(names: Vec<String>) -> Result<Vec<String>, CliError> {
+    let mut files = Vec::new();
+    for name in names {
+        if built_in_scenario(&name).is_some() || !Path::new(&name).is_dir() {
+            files.push(name);
+            continue;
+        }
+        let found = file::load_all(Path::new(&name))?;
+        if found.is_empty() {
+            return Err(CliError::Input(format!("{name}: the folder has no scenario file")));
+        }
+        files.extend(found.into_iter().map(|(path, _)| path.to_string_lossy().into_owned()));
+    }
+    Ok(files)
+}
+
+/// Sets the plant of all vehicles that a controller drives.
+fn set_plant(spec: &mut ScenarioSpec, plant: PlantKind) {
+    for vehicle in spec.vehicles.iter_mut().filter(|vehicle| !matches!(vehicle.driver, Driver::Profile(_))) {
+        vehicle.plant = plant;
+        if plant == PlantKind::PointMass {
+            vehicle.body = None;
+        }
+    }
+}
+
+/// Returns a line with the share of scenarios that have a collision.
+fn describe_collision_share(plant: PlantKind, results: &[RenderedRun]) -> String {
+    let (collided, count) = (results.iter().filter(|result| result.collided).count(), results.len());
+    let interval = RateInterval::clopper_pearson(collided as u64, count as u64, 0.95);
+    let [share, low, high] =
+        [collided as f64 / count as f64, interval.lower, interval.upper].map(|share| 100.0 * share);
+    format!(
+        "{}: {collided} of {count} scenarios have a collision \
+         ({share:.1} %; exact 95 % interval: {low:.1} to {high:.1} %)\n",
+        plant.name()
+    )
 }
 
 /// Renders the three diagrams of a run, in the format of the file's extension.

@@ -5,6 +5,7 @@ use crumple_search::falsify::campaign::EvaluationLog;
 use crumple_search::worst_case::AttackObjective;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::recording::LeaderSelection;
+use crumple_world::scenario::PlantKind;
 use crumple_world::sim::AfterContact;
 
 /// A value, its name, and its description in the long help.
@@ -21,6 +22,15 @@ const AFTER_CONTACT: &[ArgValue<AfterContact>] = &[
         AfterContact::Continue,
         "continue",
         "Both vehicles continue together with common momentum, so that a pile-up can be counted",
+    ),
+];
+
+pub(super) const PLANTS: &[ArgValue<PlantKind>] = &[
+    (PlantKind::PointMass, PlantKind::PointMass.name(), "A point mass with an ideal brake"),
+    (
+        PlantKind::MultiBody,
+        PlantKind::MultiBody.name(),
+        "A body with suspension, wheels, tyres, brake pressure and an anti-lock braking system",
     ),
 ];
 

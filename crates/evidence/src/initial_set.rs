@@ -52,12 +52,13 @@ impl InitialSet {
                 && v.actuator_lag_s == 0.0
                 && v.actuator_delay_s == 0.0
                 && v.jerk_limit_mps3.is_none()
+                && v.multi_body().is_none()
                 && v.keeps_lane()
         });
         if ego.driver != Driver::UnderTest || !is_plain {
             return Err(wrong(
                 "one vehicle behind the leader must be under test, none may have noise, delay, lag or limited jerk, \
-                 and all must stay in the lane",
+                 all must have the plant `point-mass`, and all must stay in the lane",
             ));
         }
         if scenario.spec().sensors.faults.is_any() {

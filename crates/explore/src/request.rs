@@ -126,6 +126,7 @@ impl Edits {
             // A script determines the motion directly.
             (lead.reaction_delay_s, lead.actuator_lag_s, lead.actuator_delay_s, lead.jerk_limit_mps3) =
                 (0.0, 0.0, 0.0, None);
+            (lead.plant, lead.body) = Default::default();
         }
         Ok(())
     }

@@ -34,6 +34,9 @@ impl AvoidanceProblem {
     /// # Errors
     /// [`UndecidedReason`] if neither verdict can be reached.
     pub(super) fn new(scenario: &Scenario) -> Result<Self, UndecidedReason> {
+        if !scenario.has_only_point_masses() {
+            return Err(UndecidedReason::Plant);
+        }
         let vehicles = scenario.vehicles();
         let last_ego = last_ego(scenario)?;
         let ego = |index: usize| {

@@ -31,12 +31,14 @@ use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate_batch};
 
 /// Returns true if the first vehicle under test executes its commands at once and without noise.
 pub(super) fn is_applicable(scenario: &Scenario) -> bool {
-    scenario.vehicles().get(1).is_some_and(|ego| {
-        ego.driver == Driver::UnderTest
-            && ego.actuator_lag_s == 0.0
-            && ego.jerk_limit_mps3.is_none()
-            && ego.acceleration_noise_mps2 == 0.0
-    }) && scenario.vehicles().first().is_some_and(|leader| leader.acceleration_noise_mps2 == 0.0)
+    scenario.has_only_point_masses()
+        && scenario.vehicles().get(1).is_some_and(|ego| {
+            ego.driver == Driver::UnderTest
+                && ego.actuator_lag_s == 0.0
+                && ego.jerk_limit_mps3.is_none()
+                && ego.acceleration_noise_mps2 == 0.0
+        })
+        && scenario.vehicles().first().is_some_and(|leader| leader.acceleration_noise_mps2 == 0.0)
 }
 
 /// Maximum number of programs; after that a local search takes over.

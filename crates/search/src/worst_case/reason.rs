@@ -13,6 +13,9 @@ pub enum UndecidedReason {
     /// The order of vehicles changes.
     #[error("vehicles enter or leave the lane, which the programs do not model")]
     LaneChanges,
+    /// A vehicle is not a point mass.
+    #[error("a vehicle has the plant `multi-body`, and the programs model only `point-mass`")]
+    Plant,
     /// No vehicle under test is behind the leader, or they are not neighbours.
     #[error("the vehicles under test are not those directly behind the leader")]
     NoEgo,

@@ -100,9 +100,12 @@ pub enum FieldProblem {
         /// Acceleration of the profile, in m/s².
         found: f64,
     },
-    /// A delay, lag or jerk limit of a scripted vehicle.
+    /// A delay, lag, jerk limit or plant of a scripted vehicle.
     #[error("is not allowed on a vehicle that follows a script: put the delay into the script")]
     DelayedScript,
+    /// Parameters of a multi-body vehicle on a point mass.
+    #[error("is only allowed with plant = \"multi-body\"")]
+    BodyOfPointMass,
     /// A lane change of a vehicle that is not scripted.
     #[error(
         "is not allowed on a vehicle that is driven by `{driver}`: only a vehicle that follows a script may change \

@@ -10,6 +10,7 @@ mod invalid;
 mod lane_change;
 mod named_fields;
 mod paper;
+mod plant;
 mod profile;
 mod sensor_faults;
 pub mod space;
@@ -27,6 +28,7 @@ pub use invalid::format_compact;
 pub use invalid::{AllowedRange, FieldProblem, InvalidField};
 pub use lane_change::LaneChange;
 pub use paper::{PAPER_STEP_S, PaperDistribution, built_in_scenario, built_in_scenario_names};
+pub use plant::{BodyKind, PlantKind};
 pub use profile::{Brake, BrakeToSpeed, LeadProfile, PiecewiseAcceleration, RampBrake, RecordedSpeeds};
 pub use sensor_faults::{GhostObject, SensorFaults};
 pub use speed_dip::{SPEED_DIP_ONSET_S, speed_dip};
@@ -207,6 +209,12 @@ impl Scenario {
     #[must_use]
     pub fn vehicles(&self) -> &[VehicleSpec] {
         &self.spec.vehicles
+    }
+
+    /// Returns true if every vehicle is a point mass: proofs and convex programs model no other plant.
+    #[must_use]
+    pub fn has_only_point_masses(&self) -> bool {
+        self.spec.vehicles.iter().all(|vehicle| vehicle.multi_body().is_none())
     }
 
     /// Returns true if no vehicle changes lanes, so that all neighbours stay the same.

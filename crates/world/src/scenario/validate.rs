@@ -89,6 +89,9 @@ fn check_vehicle(place: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), Inv
     place.field("actuator_lag_s").check_number(vehicle.actuator_lag_s, range_from(0.0, 10.0))?;
     place.field("actuator_delay_s").check_number(vehicle.actuator_delay_s, range_from(0.0, 10.0))?;
     place.field("jerk_limit_mps3").check_optional(vehicle.jerk_limit_mps3, range_from(0.1, 1e4))?;
+    if vehicle.body.is_some() && vehicle.multi_body().is_none() {
+        return place.field("body").reject(FieldProblem::BodyOfPointMass);
+    }
     check_lane_changes(place, vehicle)?;
     let driver = place.field("driver");
     let driver = driver.field(vehicle.driver.name());
@@ -157,6 +160,7 @@ fn check_no_delays(place: &FieldPath<'_>, vehicle: &VehicleSpec) -> Result<(), I
         ("actuator_lag_s", vehicle.actuator_lag_s > 0.0),
         ("actuator_delay_s", vehicle.actuator_delay_s > 0.0),
         ("jerk_limit_mps3", vehicle.jerk_limit_mps3.is_some()),
+        ("plant", vehicle.multi_body().is_some()),
     ];
     match delays.into_iter().find(|(_, given)| *given) {
         Some((field, _)) => place.field(field).reject(FieldProblem::DelayedScript),

@@ -5,6 +5,7 @@ use serde::{Deserialize, Serialize};
 use super::driver::Driver;
 use super::is_default;
 use super::lane_change::LaneChange;
+use super::plant::{BodyKind, PlantKind};
 
 struct ClassPreset {
     name: &'static str,
@@ -147,6 +148,13 @@ pub struct VehicleSpec {
     #[serde(default, skip_serializing_if = "Option::is_none")]
     #[cfg_attr(feature = "schema", schemars(range(min = 0.1, max = 1e4)))]
     pub jerk_limit_mps3: Option<f64>,
+    /// Model of the dynamics between demand and motion. Only for vehicles that a controller drives. Default:
+    /// point-mass.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub plant: PlantKind,
+    /// Parameters of the plant `multi-body`. Default: `bmw-320i` for `light`, `lorry-laden` for `heavy`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub body: Option<BodyKind>,
     /// Trigger for entering the lane. Until then the vehicle is in the adjacent lane, where it neither influences other
     /// vehicles nor collides. It enters only if it then overlaps neither neighbour in the list. Only for scripted
     /// vehicles. Default: in the lane from the start.
@@ -175,6 +183,8 @@ impl VehicleSpec {
             actuator_lag_s: 0.0,
             actuator_delay_s: 0.0,
             jerk_limit_mps3: None,
+            plant: PlantKind::default(),
+            body: None,
             enters: None,
             leaves: None,
         }
@@ -184,6 +194,12 @@ impl VehicleSpec {
     #[must_use]
     pub fn keeps_lane(&self) -> bool {
         self.enters.is_none() && self.leaves.is_none()
+    }
+
+    /// Returns the parameter set of a multi-body vehicle; `None` for a point mass.
+    #[must_use]
+    pub fn multi_body(&self) -> Option<BodyKind> {
+        (self.plant == PlantKind::MultiBody).then(|| self.body.unwrap_or(BodyKind::from_class(self.class)))
     }
 
     /// Returns the length from bumper to bumper, in metres: the override, or the class's.

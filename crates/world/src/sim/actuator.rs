@@ -2,6 +2,7 @@
 
 use std::collections::VecDeque;
 
+use super::multi_body::{MultiBody, brake_delay_s};
 use crate::control::clamp_command;
 use crate::random::{self, NormalSampler, Purpose, Stream};
 use crate::scenario::Scenario;
@@ -23,6 +24,8 @@ struct ActuatorDynamics {
     /// Maximum change of acceleration per step, in m/s²; infinite without a jerk limit.
     max_change_mps2: f64,
     response_mps2: f64,
+    /// Plant and step in seconds; `None` for a point mass.
+    multi_body: Option<(MultiBody, f64)>,
 }
 
 impl Actuator {
@@ -32,21 +35,29 @@ impl Actuator {
     pub(super) fn new(scenario: &Scenario, index: usize) -> Self {
         let vehicle = &scenario.vehicles()[index];
         let step_s = scenario.spec().step_s;
-        let delay_steps = ((vehicle.reaction_delay_s + vehicle.actuator_delay_s) / step_s).round() as usize;
+        let body = vehicle.multi_body();
+        let delay_s = vehicle.reaction_delay_s + vehicle.actuator_delay_s + body.map_or(0.0, brake_delay_s);
+        let delay_steps = (delay_s / step_s).round() as usize;
         // Commands that are still pending at the end of the scenario need no space.
         let delay_steps = delay_steps.min(scenario.steps());
         let lag_s = vehicle.actuator_lag_s;
-        let is_sluggish = delay_steps > 0 || lag_s > 0.0 || vehicle.jerk_limit_mps3.is_some();
+        let is_sluggish = delay_steps > 0 || lag_s > 0.0 || vehicle.jerk_limit_mps3.is_some() || body.is_some();
+        let friction = scenario.spec().environment.friction;
         let sluggish = is_sluggish.then(|| {
             Box::new(ActuatorDynamics {
                 pending_mps2: VecDeque::from(vec![0.0; delay_steps]),
                 response_fraction: if lag_s > 0.0 { -(-step_s / lag_s).exp_m1() } else { 1.0 },
                 max_change_mps2: vehicle.jerk_limit_mps3.map_or(f64::INFINITY, |jerk| jerk * step_s),
                 response_mps2: 0.0,
+                multi_body: body.map(|body| (MultiBody::new(body, friction, vehicle.speed_mps), step_s)),
             })
         });
         Self {
-            max_brake_mps2: scenario.usable_brake_mps2(index),
+            // The tyres of a multi-body vehicle limit its braking on a slippery road.
+            max_brake_mps2: match body {
+                None => scenario.usable_brake_mps2(index),
+                Some(_) => vehicle.max_brake_mps2(),
+            },
             max_accel_mps2: vehicle.max_accel_mps2(),
             dynamics: sluggish,
         }
@@ -57,7 +68,7 @@ impl Actuator {
     }
 
     #[inline]
-    pub(super) fn respond(&mut self, command_mps2: f64) -> f64 {
+    pub(super) fn respond(&mut self, command_mps2: f64, speed_mps: f64) -> f64 {
         match &mut self.dynamics {
             None => clamp_command(command_mps2, self.max_brake_mps2, self.max_accel_mps2),
             Some(sluggish) => {
@@ -66,7 +77,10 @@ impl Actuator {
                 let wanted = clamp_command(due_mps2, self.max_brake_mps2, self.max_accel_mps2);
                 let change = sluggish.response_fraction * (wanted - sluggish.response_mps2);
                 sluggish.response_mps2 += change.clamp(-sluggish.max_change_mps2, sluggish.max_change_mps2);
-                sluggish.response_mps2
+                match &mut sluggish.multi_body {
+                    None => sluggish.response_mps2,
+                    Some((plant, step_s)) => plant.respond(sluggish.response_mps2, speed_mps, *step_s),
+                }
             }
         }
     }
@@ -129,24 +143,24 @@ mod tests {
     #[test]
     fn commands_are_cut_to_the_limits_and_nan_is_nothing() {
         let mut actuator = actuator(|_| {});
-        let responses = [-20.0, 20.0, f64::NAN, f64::NEG_INFINITY].map(|command| actuator.respond(command));
+        let responses = [-20.0, 20.0, f64::NAN, f64::NEG_INFINITY].map(|command| actuator.respond(command, 10.0));
         assert_eq!(responses, [-7.5, 3.0, 0.0, -7.5]);
     }
 
     #[test]
     fn delays_add_up() {
         let mut actuator = actuator(|v| (v.reaction_delay_s, v.actuator_delay_s) = (0.02, 0.01));
-        let responses = [-1.0, -2.0, -3.0, -4.0, -5.0].map(|command| actuator.respond(command));
+        let responses = [-1.0, -2.0, -3.0, -4.0, -5.0].map(|command| actuator.respond(command, 10.0));
         assert_eq!(responses, [0.0, 0.0, 0.0, -1.0, -2.0]);
     }
 
     #[test]
     fn lag_covers_63_percent_in_one_time_constant_and_jerk_is_limited() {
         let mut lagging = actuator(|v| v.actuator_lag_s = 0.2);
-        let after = (0..20).map(|_| lagging.respond(-5.0)).last().unwrap();
+        let after = (0..20).map(|_| lagging.respond(-5.0, 10.0)).last().unwrap();
         assert!((after + 5.0 * (1.0 - (-1.0_f64).exp())).abs() < 1e-12, "{after}");
         let mut limited = actuator(|v| v.jerk_limit_mps3 = Some(10.0));
-        let after = (0..5).map(|_| limited.respond(-5.0)).last().unwrap();
+        let after = (0..5).map(|_| limited.respond(-5.0, 10.0)).last().unwrap();
         assert!((after + 0.5).abs() < 1e-12, "{after}");
     }
 }

@@ -4,6 +4,7 @@ mod actuator;
 mod lane;
 mod lockstep;
 mod motion;
+mod multi_body;
 mod named;
 mod outcome;
 mod platoon;

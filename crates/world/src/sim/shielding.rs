@@ -20,6 +20,9 @@ pub enum ShieldRefusal {
     /// Full braking is not available at a known rate.
     #[error("it has a jerk limit, which the kernel does not cover")]
     JerkLimit,
+    /// The kernel assumes that every vehicle executes its command at once, within known limits.
+    #[error("a vehicle has the plant `multi-body`, and the kernel covers only `point-mass`")]
+    Plant,
     /// The kernel assumes that the leader stays the same vehicle.
     #[error("vehicles enter or leave the lane, which the kernel does not cover")]
     LaneChanges,
@@ -96,6 +99,9 @@ impl Run {
         let (brake_mps2, noise_mps2) = (self.scenario().usable_brake_mps2(index), noise_bound_mps2(own));
         if !self.scenario().keeps_lanes() {
             return Err(ShieldRefusal::LaneChanges);
+        }
+        if !self.scenario().has_only_point_masses() {
+            return Err(ShieldRefusal::Plant);
         }
         if own.jerk_limit_mps3.is_some() {
             return Err(ShieldRefusal::JerkLimit);

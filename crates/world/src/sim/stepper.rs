@@ -394,7 +394,7 @@ impl VehicleLoop {
 
     #[inline]
     fn actuate(&mut self, command_mps2: f64, speed_mps: f64, is_locked: bool) -> f64 {
-        let acceleration_mps2 = self.actuator.respond(command_mps2);
+        let acceleration_mps2 = self.actuator.respond(command_mps2, speed_mps);
         let noise_mps2 = self.disturbance.as_mut().map_or(0.0, Disturbance::next_mps2);
         match is_locked {
             true => acceleration_mps2 + noise_mps2,

@@ -51,6 +51,9 @@ pub enum OpenScenarioError {
     /// Vehicles change lanes, but the exported road has one lane.
     #[error("vehicles enter or leave the lane, and the road that is exported has one lane")]
     LaneChanges,
+    /// Players of OpenSCENARIO files move vehicles as point masses.
+    #[error("a vehicle has the plant `multi-body`, which OpenSCENARIO files cannot state: export the trajectories")]
+    Plant,
     /// A script cannot be simulated alone.
     #[error("vehicle {vehicle}: cannot be driven alone: {why}")]
     Script {
@@ -114,6 +117,9 @@ pub fn export_trajectories(
 /// leave the lane, and [`OpenScenarioError::Script`] for a script that cannot be simulated alone, which no valid
 /// scenario has.
 pub fn export_actions(scenario: &Scenario, road: &str) -> Result<OpenScenario, OpenScenarioError> {
+    if !scenario.has_only_point_masses() {
+        return Err(OpenScenarioError::Plant);
+    }
     check_single_lane(scenario)?;
     let scenario = &round_as_written(scenario);
     let moves = actions::scripted_vehicles(scenario)?;

@@ -96,8 +96,9 @@ impl<'a> VehicleColumn<'a> {
                 || loops::limit(decided.padded_mut(), limits[0].padded(), limits[1].padded()),
             ));
         } else {
-            for (decided, actuator) in self.next_acceleration_mps2.as_mut_slice().iter_mut().zip(&mut self.actuators) {
-                *decided = actuator.respond(*decided);
+            let decided = self.next_acceleration_mps2.as_mut_slice().iter_mut();
+            for (run, (decided, actuator)) in decided.zip(&mut self.actuators).enumerate() {
+                *decided = actuator.respond(*decided, self.speed_mps[run]);
             }
         }
         let (decided, noise_mps2, speed) = (&mut self.next_acceleration_mps2, self.noise.next_mps2(), &self.speed_mps);

@@ -1,0 +1,63 @@
+//! Plants: models of the dynamics between a controller's demand and the motion of a vehicle.
+
+use serde::{Deserialize, Serialize};
+
+use super::VehicleClass;
+
+/// Plant of a vehicle that a controller drives.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(rename_all = "kebab-case")]
+pub enum PlantKind {
+    /// Point mass with an ideal brake: the acceleration equals the demand within the limits of the vehicle.
+    #[default]
+    PointMass,
+    /// Body with suspension, wheels, tyres, brake pressure and an anti-lock braking system.
+    MultiBody,
+}
+
+impl PlantKind {
+    /// Returns the name in files.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::PointMass => "point-mass",
+            Self::MultiBody => "multi-body",
+        }
+    }
+}
+
+/// Parameter set of a multi-body vehicle.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub enum BodyKind {
+    /// Ford Escort, vehicle 1 of CommonRoad.
+    #[serde(rename = "ford-escort")]
+    FordEscort,
+    /// BMW 320i, vehicle 2 of CommonRoad.
+    #[serde(rename = "bmw-320i")]
+    Bmw320i,
+    /// VW Vanagon, vehicle 3 of CommonRoad.
+    #[serde(rename = "vw-vanagon")]
+    VwVanagon,
+    /// Two-axle lorry of 15 t with load.
+    #[serde(rename = "lorry-laden")]
+    LorryLaden,
+    /// Two-axle lorry of 7 t without load.
+    #[serde(rename = "lorry-unladen")]
+    LorryUnladen,
+}
+
+impl BodyKind {
+    /// All parameter sets.
+    pub const ALL: [Self; 5] = [Self::FordEscort, Self::Bmw320i, Self::VwVanagon, Self::LorryLaden, Self::LorryUnladen];
+
+    /// Returns the parameter set of a class: `bmw-320i` for `light`, `lorry-laden` for `heavy`.
+    #[must_use]
+    pub fn from_class(class: VehicleClass) -> Self {
+        match class {
+            VehicleClass::Light => Self::Bmw320i,
+            VehicleClass::Heavy => Self::LorryLaden,
+        }
+    }
+}
