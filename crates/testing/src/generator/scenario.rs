@@ -6,8 +6,8 @@ use super::choices::Choices;
 use super::driver::{DRIVER_BYTES, make_scripted, read_driver};
 use super::shape::{MAX_VEHICLES, ScenarioShape};
 use crumple_world::scenario::{
-    Driver, Environment, GhostObject, InvalidField, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec, SensorFaults,
-    Sensors, VehicleClass, VehicleSpec, whole_multiple,
+    Driver, Environment, GhostObject, InvalidField, LeadProfile, SCENARIO_VERSION, Scenario, ScenarioSpec,
+    SensorFaults, Sensors, VehicleClass, VehicleSpec, whole_multiple,
 };
 
 const ROAD_BYTES: usize = 24;

@@ -62,13 +62,13 @@ const LORRY_TYRE: TyreParams =
 const AIR_BRAKE: BrakeParams = BrakeParams { delay_s: 0.2, lag_s: 0.28 };
 
 static FORD_ESCORT: BodyParams = BodyParams {
-    mass_kg: 1225.887_846_725_334_4,
-    sprung_kg: 1094.542_720_290_477,
+    mass_kg: 1_225.887_846_725_334_4,
+    sprung_kg: 1_094.542_720_290_477,
     unsprung_kg: [65.672_563_217_428_63; 2],
     axle_m: [0.883_92, 1.508_76],
-    pitch_inertia_kgm2: 1342.259_768_848_086_4,
+    pitch_inertia_kgm2: 1_342.259_768_848_086_4,
     spring_npm: [21_898.332_429_625_985; 2],
-    damper_nspm: [1459.390_293_720_636_2; 2],
+    damper_nspm: [1_459.390_293_720_636_2; 2],
     tyre_spring_npm: [189_785.547_723_425_2; 2],
     cg_height_m: 0.594_36,
     wheel_radius_m: 0.344,
@@ -80,13 +80,13 @@ static FORD_ESCORT: BodyParams = BodyParams {
 };
 
 static BMW_320I: BodyParams = BodyParams {
-    mass_kg: 1093.295_233_467_404_6,
+    mass_kg: 1_093.295_233_467_404_6,
     sprung_kg: 965.710_809_880_436_3,
     unsprung_kg: [63.792_182_605_678_4; 2],
     axle_m: [1.156_195_706_4, 1.422_717_093_6],
-    pitch_inertia_kgm2: 1565.817_878_712_554_1,
+    pitch_inertia_kgm2: 1_565.817_878_712_554_1,
     spring_npm: [24_453.137_879_749_014, 19_635.504_745_231_297],
-    damper_nspm: [1786.244_100_244_072_3, 1649.083_303_488_738_2],
+    damper_nspm: [1_786.244_100_244_072_3, 1_649.083_303_488_738_2],
     tyre_spring_npm: [158_294.139_811_911_5; 2],
     cg_height_m: 0.613_730_04,
     wheel_radius_m: 0.344,
@@ -98,13 +98,13 @@ static BMW_320I: BodyParams = BodyParams {
 };
 
 static VW_VANAGON: BodyParams = BodyParams {
-    mass_kg: 1478.897_963_776_799_8,
-    sprung_kg: 1316.608_655_249_037_4,
+    mass_kg: 1_478.897_963_776_799_8,
+    sprung_kg: 1_316.608_655_249_037_4,
     unsprung_kg: [81.144_289_416_307_96; 2],
     axle_m: [1.150_791_602_4, 1.321_136_397_600_000_1],
-    pitch_inertia_kgm2: 2204.322_715_845_899,
+    pitch_inertia_kgm2: 2_204.322_715_845_899,
     spring_npm: [33_577.443_058_759_84, 39_125.020_607_598_424],
-    damper_nspm: [2405.564_099_800_005, 2769.727_219_182_409],
+    damper_nspm: [2_405.564_099_800_005, 2_769.727_219_182_409],
     tyre_spring_npm: [212_641.567_224_640_17; 2],
     cg_height_m: 0.804_490_644,
     wheel_radius_m: 0.344,
