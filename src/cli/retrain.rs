@@ -231,11 +231,8 @@ fn load_attacked(names: &[String], imitates: bool, quiet: bool) -> Result<Vec<Sc
         let names = built_in_scenario_names().map(|(name, _)| name).into_iter().filter(|_| imitates);
         return Ok(names.filter_map(built_in_scenario).filter(is_suitable).collect());
     }
-    if names.iter().any(|name| name == "none") {
-        return match names.len() {
-            1 => Ok(Vec::new()),
-            _ => Err(CliError::Input("--scenario: `none` cannot be combined with scenarios".to_owned())),
-        };
+    if is_none("--scenario", "scenarios", names)? {
+        return Ok(Vec::new());
     }
     let mut scenarios = Vec::new();
     for name in names {
@@ -267,13 +264,19 @@ fn load_regression_spaces(names: &[String]) -> Result<Vec<ScenarioSpace>, CliErr
     if names.is_empty() {
         return Ok(BUILT_IN_SPACES.iter().filter_map(|(name, ..)| built_in_space(name)).collect());
     }
-    if names.iter().any(|name| name == "none") {
-        return match names.len() {
-            1 => Ok(Vec::new()),
-            _ => Err(CliError::Input("--regression: `none` cannot be combined with spaces".to_owned())),
-        };
+    if is_none("--regression", "spaces", names)? {
+        return Ok(Vec::new());
     }
     load_spaces("--regression", names)
+}
+
+/// Returns true if the only value of a repeated option is `none`.
+fn is_none(option: &str, values: &str, names: &[String]) -> Result<bool, CliError> {
+    let has_none = names.iter().any(|name| name == "none");
+    if has_none && names.len() > 1 {
+        return Err(CliError::Input(format!("{option}: `none` cannot be combined with {values}")));
+    }
+    Ok(has_none)
 }
 
 /// Loads the spaces of a repeated option.

@@ -95,7 +95,7 @@ pub fn read_bytes(bytes: &[u8], path: &Path, map: Option<&RecordingMap>) -> Resu
 /// carriage returns before line feeds.
 ///
 /// # Errors
-/// As [`load`].
+/// Those of [`load`].
 pub fn read(from: impl Read, path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
     let table = RowReader::new(from, path, map.map(RecordingMap::spec))?;
     only_part(path, |each| read_rows(table, path, map, each))
