@@ -1,8 +1,8 @@
 //! Collisions by plant and by sensor fault: the tables of `reports/plants-and-sensors.md`.
 //!
-//! `plants_and_sensors RUNS CONTROLLER...` simulates the same RUNS random scenarios of `high-risk` with each controller,
-//! plant and fault, and prints shares of collisions with exact 95 % intervals in percent. Then it prints the
-//! collisions in the paper's scenarios with each plant. Controllers observe through the Kalman filter.
+//! `plants_and_sensors RUNS CONTROLLER...` simulates the same RUNS random scenarios of `high-risk` with each
+//! controller, plant and fault, and prints shares of collisions with exact 95 % intervals in percent. Then it prints
+//! the collisions in the paper's scenarios with each plant. Controllers observe through the Kalman filter.
 
 use std::path::Path;
 

@@ -59,7 +59,7 @@ pub(super) struct WorstCase {
     /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
-    /// What the attack varies
+    /// Part of the scenario that the attack varies
     #[arg(long, value_enum, value_name = "ATTACK", default_value = "braking")]
     attack: AttackKind,
     /// Objective: least ∫a², least peak, or the fastest impact [default: mildest]

@@ -105,8 +105,8 @@ pub enum LeadManeuver {
     /// standing vehicle ahead is then the closing time multiplied by its speed. The test ends when the vehicle under
     /// test stands.
     CutOut,
-    /// Nothing is in the way. The sensor reports a standing object that does not exist, for `ghost_time`, at the gap that
-    /// the closing time determines. 300 m ahead drives a vehicle at the speed of the vehicle under test. The test fails
+    /// No vehicle is in the way. For `ghost_time` the sensor reports a standing object that does not exist, at the gap
+    /// that the closing time determines. 300 m ahead drives a vehicle at the speed of the vehicle under test. The test fails
     /// if the vehicle under test brakes with 0.25 g or more.
     Ghost,
 }

@@ -2,8 +2,8 @@
 //!
 //! Each kind of fault is scaled from none to a limit, and its share of the limit measures its size: the mildest fault
 //! has the smallest share. Twenty shares of each kind are simulated. Bisection to a thousandth follows between the
-//! first one that fails and the one before. A controller may pass a larger fault again, or fail at a smaller one between
-//! two shares, so that the result is the mildest fault found.
+//! first one that fails and the one before. Between two shares a controller may fail at a smaller fault, so that the
+//! result is the mildest fault found.
 
 use serde::Serialize;
 
@@ -121,7 +121,7 @@ struct FaultSearch<'a> {
 /// Searches for the mildest fault of each kind, in addition to the faults of the scenario.
 ///
 /// # Errors
-/// [`AttackError`] if the scenario is too large, cannot be simulated with these options, or `observer` stops the search.
+/// [`AttackError`] if the scenario is too large or cannot be simulated, or if `observer` stops the search.
 pub fn attack_sensors(
     scenario: &Scenario,
     options: &RunOptions,

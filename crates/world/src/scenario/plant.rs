@@ -63,7 +63,7 @@ impl BodyKind {
 }
 
 impl Scenario {
-    /// Returns the scenario with a plant for all vehicles that a controller drives. Scripted vehicles keep their motion.
+    /// Returns the scenario with a plant for all vehicles that a controller drives. Scripted vehicles do not change.
     ///
     /// # Errors
     /// [`InvalidField`] in principle, if the changed scenario is invalid.

@@ -469,9 +469,9 @@ const INTRODUCTION: &str = "A search looks for collisions; uniform points and a 
     Each failure is simulated again at a tenth of the step, shrunk towards the nominal scenario, and classified: \
     avoidable with the smallest gap of the best escape found, unavoidable if the checker accepted a proof, or \
     undecided. A counterexample shows that a failure is possible, not how often it occurs; its values may be unlikely. \
-    If no uniform point fails, the share has an upper bound at 95 % confidence. Columns `multi-body`: replays with \
-    vehicles that have suspension, tyres, brake pressure and an anti-lock braking system; how many failures fail again, \
-    and how many escapes have no collision, with the exact 95 % interval of independent samples.";
+    If no uniform point fails, the share has an upper bound at 95 % confidence. Columns `multi-body`: shares of \
+    failures that fail again, and of escapes without a collision, in a replay of vehicles with suspension, tyres, \
+    brake pressure and an anti-lock braking system, with the exact 95 % interval of independent samples.";
 
 const COMMANDS_NOTE: &str = "Run commands in the folder of this report. `replay.sh` checks the files and runs all \
     commands that show \
