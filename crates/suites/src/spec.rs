@@ -106,8 +106,8 @@ pub enum LeadManeuver {
     /// test stands.
     CutOut,
     /// No vehicle is in the way. For `ghost_time` the sensor reports a standing object that does not exist, at the gap
-    /// that the closing time determines. 300 m ahead drives a vehicle at the speed of the vehicle under test. The test fails
-    /// if the vehicle under test brakes with 0.25 g or more.
+    /// that the closing time determines. 300 m ahead drives a vehicle at the speed of the vehicle under test. The test
+    /// fails if the vehicle under test brakes with 0.25 g or more.
     Ghost,
 }
 
