@@ -35,6 +35,7 @@ mod openscenario;
 mod openscenario_import;
 mod paper;
 mod physics;
+mod plants;
 mod policy_files;
 mod printed;
 #[cfg(unix)]

@@ -7,8 +7,8 @@ use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignSumma
 use crumple_search::falsify::{FailureCriterion, MetamorphicRelation, Method};
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::file;
 use crumple_world::scenario::space::{ScenarioSpace, built_in_space};
+use crumple_world::scenario::{PlantKind, file};
 use crumple_world::sim::{NamedController, RunOptions};
 use proptest::prelude::*;
 use proptest::sample::{select, subsequence};
@@ -90,6 +90,9 @@ proptest! {
             // Files store positions to a billionth of a metre.
             prop_assert!(original.robustness >= best - 1e-6, "{} is worse than all", found.original_file);
             prop_assert!(found.found_at <= campaign.budget);
+            let multi_body = file::load(&folder.path().join(&found.file)).unwrap().with_plant(PlantKind::MultiBody);
+            let replay = campaign.specification.evaluate_scenario(&multi_body.unwrap(), options(&campaign));
+            prop_assert_eq!(found.survives_multi_body, replay.ok().map(|verdict| verdict.is_violation()));
             // The file of an escape avoids the collision, without a vehicle under test.
             prop_assert_eq!(found.escape_file.is_some(), found.avoidability.is_avoidable() == Some(true));
             if let Some(escape) = &found.escape_file {

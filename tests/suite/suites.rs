@@ -425,7 +425,7 @@ fn failures_name_preventing_drivers_and_refusals_their_reason() {
     assert_eq!(stopped.failed_points[0].avoidability.is_avoidable(), Some(true));
     assert!(test("decelerating-lead")[1].verdict.is_passed(), "idm");
     for tested in test("false-activation") {
-        assert!(matches!(&tested.verdict, TestVerdict::Refused { reason } if reason.contains("could not be read")));
+        assert!(matches!(&tested.verdict, TestVerdict::Refused { reason } if reason.contains("ignores the sensors")));
     }
     let alone = run(&suite, &[find_controller("idm")], EstimatorKind::Truth).unwrap();
     assert_eq!(alone.clauses[0].tests[0].controllers[0], test("stopped-lead")[1], "whoever else is tested");
@@ -451,6 +451,12 @@ fn every_situation_is_the_one_that_its_figures_say() {
                     None => value(ParameterKind::TimeGap) * own.speed_mps,
                 };
                 match lead {
+                    LeadManeuver::Ghost => {
+                        let ghost = scenario.spec().sensors.faults.ghost.unwrap();
+                        let reached_s = ghost.gap_m / own.speed_mps;
+                        assert!((reached_s - value(ParameterKind::ClosingTime)).abs() < 1e-12 && closing_mps == 0.0);
+                        assert_eq!((ghost.speed_mps, ghost.duration_s), (0.0, value(ParameterKind::GhostTime)));
+                    }
                     LeadManeuver::Decelerating => {
                         assert!(closing_mps == 0.0 && (gap_m - gap_stated_m()).abs() < 1e-9, "{gap_m}");
                     }

@@ -5,7 +5,6 @@
 //! `crumple_verify` checks certificates independently. [`RatePlan`] writes only certificates that it accepts.
 
 mod binding;
-mod binomial;
 mod block;
 mod certificate_report;
 pub mod exposure;
@@ -13,7 +12,6 @@ pub mod fit;
 #[cfg(test)]
 mod fixtures;
 mod initial_set;
-mod interval;
 mod kernel;
 mod paired;
 mod planning;
@@ -30,7 +28,7 @@ mod script;
 pub use binding::{BindingError, ScenarioMismatch, check_binding, check_covers_scenario, count_omitted_vehicles};
 pub use block::CountedBlock;
 pub use certificate_report::{CertificateReport, CountsStatus, report_json, report_text};
-pub use interval::RateInterval;
+pub use crumple_core::interval::RateInterval;
 pub use kernel::{kernel_certificate, shipped_kernels};
 pub use paired::DiscordantPairs;
 pub use planning::{SampleSizeError, required_runs};

@@ -6,7 +6,8 @@ use crumple_verify::rate::{MAX_BLOCKS, MAX_RUNS, binomial_tail_upper_bound};
 use crumple_verify::{Certificate, ComparisonClaim, RateClaim, Registration, Statement};
 use serde::{Deserialize, Serialize};
 
-use super::{CountedBlock, binomial};
+use super::CountedBlock;
+use crumple_core::binomial;
 use crumple_core::digest::sha256;
 use crumple_search::worst_case::build_certificate;
 use crumple_world::sim::FailedControllerRuns;

@@ -7,11 +7,11 @@ use serde_json::json;
 use super::failure_maps_figure;
 use super::map_cell::{MapCell, MapRow};
 use super::map_grid::{FailureMapAxis, FixedParameter, fixed_parameters, grid_scenarios};
-use crate::assessment::avoidance::RoundedAvoidance;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, ReportPart};
+use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid};
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::built_in_space;
 use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, simulate_batch};
@@ -125,10 +125,10 @@ fn classify_cell(scenario: &Scenario, survived: bool) -> MapCell {
     if survived {
         return MapCell::Avoidable;
     }
-    match RoundedAvoidance::compute(scenario) {
-        RoundedAvoidance::Avoidable { .. } => MapCell::Avoidable,
-        RoundedAvoidance::Unavoidable => MapCell::Unavoidable,
-        RoundedAvoidance::Undecided { .. } => MapCell::Undecided,
+    match avoid(scenario, AvoidOptions::default()).map(|found| found.verdict) {
+        Ok(AvoidanceVerdict::Avoidable(_)) => MapCell::Avoidable,
+        Ok(AvoidanceVerdict::Unavoidable(_)) => MapCell::Unavoidable,
+        Ok(AvoidanceVerdict::Undecided(_)) | Err(_) => MapCell::Undecided,
     }
 }
 

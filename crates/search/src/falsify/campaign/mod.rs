@@ -43,7 +43,8 @@ pub use reader::{CampaignReader, MAX_READ_EVALUATIONS};
 pub(in crate::falsify) use resolved_config::ResolvedConfig;
 pub use run::{CAMPAIGN_KIND, CampaignProgress, verify_journal};
 pub use summary::{
-    AvoidabilitySummary, CampaignSummary, CoverageSummary, FailureKindSummary, FailuresByMethod, MethodSummary,
+    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, CoverageSummary, FailureKindSummary, FailuresByMethod,
+    MethodSummary,
 };
 
 use crumple_core::observer::Stopped;

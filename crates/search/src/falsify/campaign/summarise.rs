@@ -6,8 +6,8 @@ use super::failures::FailureGroup;
 use super::findings::{CampaignFindings, MethodResults};
 use super::resolved_config::ResolvedConfig;
 use super::summary::{
-    AvoidabilitySummary, CampaignSummary, CoverageSummary, FailureKindSummary, FailuresByMethod, MethodSummary,
-    SUMMARY_VERSION,
+    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, CoverageSummary, FailureKindSummary, FailuresByMethod,
+    MethodSummary, SUMMARY_VERSION,
 };
 use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::Counterexample;
@@ -60,6 +60,7 @@ impl CampaignSummary {
                 .collect(),
             front: failures.front.points(&terms.specification, &terms.nominal),
             avoidability: AvoidabilitySummary::from_counterexamples(&counterexamples),
+            multi_body: ConfirmationSummary::from_counterexamples(&counterexamples),
             counterexamples,
         })
     }

@@ -5,6 +5,7 @@ use std::fmt::Write;
 use serde::{Deserialize, Serialize};
 
 use super::{CampaignError, CoveragePercentages, FrontPoint, SearchObjective};
+use crate::confirmation::ReplayShare;
 use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_core::quoting::TerminalText;
@@ -64,6 +65,9 @@ pub struct CampaignSummary {
     /// Number of avoidable distinct failures; `None` if they were not classified.
     #[serde(default)]
     pub avoidability: Option<AvoidabilitySummary>,
+    /// Results of the replays with the multi-body plant.
+    #[serde(default)]
+    pub multi_body: ConfirmationSummary,
     /// Results of each method: the requested one, then the reference searches.
     pub methods: Vec<MethodSummary>,
     /// Kinds of failures, the most frequent first.
@@ -102,6 +106,32 @@ impl AvoidabilitySummary {
         let all = avoidable + unavoidable + undecided;
         let avoidable_percent = 100.0 * avoidable as f64 / all as f64;
         (all > 0).then_some(Self { avoidable, unavoidable, undecided, avoidable_percent })
+    }
+}
+
+/// Shares of distinct failures and escapes that survive a replay with the multi-body plant.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct ConfirmationSummary {
+    /// Share of failures that fail again; `None` without a replay.
+    pub failures: Option<ReplayShare>,
+    /// Share of escapes without a collision; `None` without an escape.
+    pub escapes: Option<ReplayShare>,
+}
+
+impl ConfirmationSummary {
+    /// Counts the replays of distinct failures.
+    #[must_use]
+    pub fn from_counterexamples(found: &[Counterexample]) -> Self {
+        Self {
+            failures: ReplayShare::from_results(found.iter().filter_map(|one| one.survives_multi_body)),
+            escapes: ReplayShare::from_results(found.iter().filter_map(|one| one.escape_survives_multi_body)),
+        }
+    }
+
+    /// Describes each share that is present, as a noun phrase.
+    pub fn describe(&self) -> impl Iterator<Item = String> {
+        let shares = [(self.failures, "failures survive"), (self.escapes, "escapes have no collision")];
+        shares.into_iter().filter_map(|(share, what)| Some(share?.describe(what)))
     }
 }
 
@@ -295,6 +325,7 @@ impl CampaignSummary {
                      {undecided} undecided{silent}"
                 )?;
             }
+            self.multi_body.describe().try_for_each(|share| writeln!(out, "  with the multi-body plant, {share}"))?;
         } else {
             writeln!(out, "  no failure found; this does not prove that none exists")?;
         }

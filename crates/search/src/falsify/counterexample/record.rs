@@ -31,6 +31,8 @@ pub(in crate::falsify) struct ExaminedFailure {
     pub(super) vehicles_involved: usize,
     pub(super) because: Option<String>,
     pub(super) analysis: AvoidabilityAnalysis,
+    /// True if the scenario also fails with the multi-body plant.
+    pub(super) survives: Option<bool>,
 }
 
 /// Selects distinct failures of a campaign and records them.
@@ -203,6 +205,8 @@ impl Recorder<'_> {
             likelihood_rank: 0,
             dt_fragile: one.dt_fragile,
             avoidability: one.analysis.avoidability.clone(),
+            survives_multi_body: one.survives,
+            escape_survives_multi_body: one.analysis.escape_survives,
             found_by: one.method.name().to_owned(),
             found_at: one.number,
             changed: self.changed_parameters(&one.values),
