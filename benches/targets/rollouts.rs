@@ -2,7 +2,7 @@
 
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, LeadProfile, PlantKind, Scenario, built_in_scenario};
-use crumple_world::sim::{Outcome, RecordingLevel, simulate_batch};
+use crumple_world::sim::{Outcome, RecordingLevel, Run, simulate_batch};
 
 use crate::clock::{cpu_time_s, min_cpu_time_s, min_wall_time_s};
 use crate::limits::normals_per_second;
@@ -15,11 +15,6 @@ pub fn measure(say: &mut dyn FnMut(Measurement)) {
     let scenarios = scenarios(RUNS);
     let truth = runs(&scenarios, built_in("baseline"), EstimatorKind::Truth);
     let kalman = runs(&scenarios, built_in("baseline"), EstimatorKind::Kalman);
-    let all = |runs| {
-        move || {
-            std::hint::black_box(simulate_batch(runs, RecordingLevel::Summary, |_, result| result.outcome));
-        }
-    };
     let predictive = runs(&scenarios, built_in("predictive"), EstimatorKind::Kalman);
     let [truth_s, kalman_s, predictive_s] =
         min_cpu_time_s(40, [&mut all(&truth), &mut all(&kalman), &mut all(&predictive)]);
@@ -50,6 +45,13 @@ pub fn measure(say: &mut dyn FnMut(Measurement)) {
     let [one, two] = [1, 2].map(|count| rayon::ThreadPoolBuilder::new().num_threads(count).build().expect("threads"));
     let [one_s, two_s] = min_wall_time_s(40, [&mut || one.install(all(&kalman)), &mut || two.install(all(&kalman))]);
     say(Measurement::at_least(1.9, "times", "rollouts, two threads against one (wall clock)", one_s / two_s));
+}
+
+/// Returns a function that simulates all runs.
+fn all(runs: &[Run]) -> impl FnMut() + Send + '_ {
+    move || {
+        std::hint::black_box(simulate_batch(runs, RecordingLevel::Summary, |_, result| result.outcome));
+    }
 }
 
 /// Returns 10 s of one multi-body vehicle that follows a leader of the same speed.

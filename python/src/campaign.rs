@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
+use crumple_search::falsify::FailureCriterion;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
-use crumple_search::falsify::{FailureCriterion, MetamorphicRelation};
 use crumple_world::measure::Specification;
 use pyo3::prelude::*;
 
@@ -22,7 +22,7 @@ pub(crate) fn falsify<'py>(
     controller: &Bound<'py, PyAny>,
     space: PyRef<'py, PySpace>,
     spec: &str,
-    beside: (Option<Bound<'py, PyAny>>, Option<String>),
+    against: Option<Bound<'py, PyAny>>,
     method: &str,
     aim: &str,
     budget: u64,
@@ -36,16 +36,9 @@ pub(crate) fn falsify<'py>(
     let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Campaign, &error.to_string());
     let space = space.0.clone();
     let nominal = space.scenario(&space.nominal()).map_err(|error| errors::field_exception(py, &error))?;
-    let criterion = match beside {
-        (None, None) => None,
-        (Some(other), None) => Some(FailureCriterion::Differential(controller::resolve_controller(&other, &stop)?)),
-        (None, Some(relation)) => {
-            Some(FailureCriterion::Metamorphic(relation.parse::<MetamorphicRelation>().map_err(|error| wrong(&error))?))
-        }
-        (Some(_), Some(_)) => return Err(wrong(&"against and metamorphic do not go together")),
-    };
+    let against = against.map(|other| controller::resolve_controller(&other, &stop)).transpose()?;
     let campaign = Campaign {
-        failure_criterion: criterion,
+        failure_criterion: against.map(FailureCriterion::Differential),
         controller: controller::resolve_controller(controller, &stop)?,
         estimator: parse_choice("estimator", estimator, &ESTIMATORS)?,
         space,

@@ -30,7 +30,7 @@ configures more:
   controllers = [\"baseline\", \"policy\"]   # the first is compared with all others
   subject = \"policy\"                       # the safety case is about this controller
   estimator = \"kalman\"
-  # false omits the paper's scenarios, profiles, maps, training and space
+  # false omits the paper's scenarios, profiles, training and space
   paper = true
   distributions = [\"paper\"]               # spaces in which failures are counted
   draws = 1000                             # random scenarios of each of these spaces

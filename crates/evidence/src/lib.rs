@@ -18,8 +18,6 @@ mod planning;
 pub mod rare;
 mod rate;
 mod rate_folder;
-mod rate_merge;
-mod rate_shard;
 mod reach;
 mod record;
 mod rerun;
@@ -34,8 +32,6 @@ pub use paired::DiscordantPairs;
 pub use planning::{SampleSizeError, required_runs};
 pub use rate::{CountProgress, InvalidRate, RateConfig, RateError, RatePlan};
 pub use rate_folder::{RateCount, RateFolderError};
-pub use rate_merge::{MergedCount, PartialCount};
-pub use rate_shard::{COUNT_SHARD_KIND, RateShard};
 pub use reach::{
     BoxSpec, InvalidBox, MAX_BOXES, Partition, RangesSpec, ReachPlan, UndecidedCounts, VolumeShares, checker_file,
 };

@@ -62,7 +62,6 @@ def falsify(
     *,
     spec: str = "no contact",
     against: ControllerLike | None = None,
-    metamorphic: str | None = None,
     method: str = "auto",
     aim: str = "severest",
     budget: int = 2000,
@@ -74,9 +73,7 @@ def falsify(
 ) -> Campaign:
     """Searches a space for scenarios in which a controller fails, as ``crumple falsify`` does.
 
-    With ``against``, another controller, a failure counts only if that controller passes the same scenario. With
-    ``metamorphic`` (``"larger-gap=2"``, ``"more-friction=0.1"``) it counts only if the controller passes the scenario
-    with less of that quantity.
+    With ``against``, another controller, a failure counts only if that controller passes the same scenario.
 
     ``folder`` is the run folder, as on the command line, and ``resume`` continues it; a controller in Python then needs
     an identity. ``progress`` is called with the numbers of completed evaluations, of all evaluations, and of failures.
@@ -89,7 +86,6 @@ def falsify(
                 space,
                 spec=spec,
                 against=against,
-                metamorphic=metamorphic,
                 method=method,
                 aim=aim,
                 budget=budget,
@@ -101,12 +97,11 @@ def falsify(
             )
     resolved = as_controller(controller)
     reference = None if against is None else as_controller(against)
-    contrast = (reference, metamorphic)
     summary, text = _falsify(
         resolved,
         find_space(space),
         spec,
-        contrast,
+        reference,
         method,
         aim,
         budget,

@@ -32,8 +32,8 @@ pub struct AssessConfig {
     /// Estimator of the vehicles under test. Default: the Kalman filter.
     #[serde(default)]
     pub estimator: EstimatorKind,
-    /// Include the paper's scenarios, its leader's worst-case braking, failure maps and its training. Set it to false
-    /// for controllers that are unrelated to the paper. Default true.
+    /// Include the paper's scenarios, its leader's worst-case braking and its training. Set it to false for controllers
+    /// that are unrelated to the paper. Default true.
     #[serde(default = "default_true")]
     pub paper: bool,
     /// Scenario spaces whose failure rates are measured: built-in names or files relative to the configuration.

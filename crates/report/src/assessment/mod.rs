@@ -42,14 +42,13 @@ pub use gate::{AssessmentGate, GateResult};
 pub use parts::{
     Argument, AssessmentChange, AssessmentComparison, AssessmentLimits, AssessmentProvenance, CertificateStatus,
     CertificateSubject, CheckedCertificate, ClaimRow, ClaimSummary, ComparisonError, ControllerSample,
-    ControllerUsefulness, DistinctFailure, EXAMPLE_MPS, EarlierAssessment, EscapeFile, FailureMap, FailureMapAxis,
-    FailureMaps, FailureSearch, FailureSearches, FileScenarios, FirstPage, FixedParameter, Glossary, GsnElement,
-    GsnElementKind, KernelGap, LimitingAssumption, MAX_EVIDENCE_BYTES, MapCell, MapRow, MethodResult, MildestAttack,
-    NameExplanation, PairedCounts, PaperScenarios, ParameterDescription, PercentInterval, Proofs, RunInfo,
-    SafetyAnswer, ScenarioCases, SpaceDescription, SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches,
-    SpaceSpecificationSearches, SpecificationSearch, SpecificationSearches, SpecificationViolation,
-    StringStabilityVerdict, SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites, UnknownCell,
-    UsefulnessReport, WorstProfile, WorstProfiles,
+    ControllerUsefulness, DistinctFailure, EXAMPLE_MPS, EarlierAssessment, EscapeFile, FailureSearch, FailureSearches,
+    FileScenarios, FirstPage, Glossary, GsnElement, GsnElementKind, KernelGap, LimitingAssumption, MAX_EVIDENCE_BYTES,
+    MethodResult, MildestAttack, NameExplanation, PairedCounts, PaperScenarios, ParameterDescription, PercentInterval,
+    Proofs, RunInfo, SafetyAnswer, ScenarioCases, SpaceDescription, SpaceDescriptions, SpaceSample, SpaceSamples,
+    SpaceSearches, SpaceSpecificationSearches, SpecificationSearch, SpecificationSearches, SpecificationViolation,
+    StringStabilityVerdict, SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites, UsefulnessReport,
+    WorstProfile, WorstProfiles,
 };
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
@@ -101,8 +100,6 @@ pub struct AssessmentReport {
     pub specification_searches: Option<SpecificationSearches>,
     /// Mildest braking of the leader against each controller.
     pub worst_profiles: Option<WorstProfiles>,
-    /// Outcome of each controller over two parameters, and the unavoidable cells.
-    pub failure_maps: Option<FailureMaps>,
     /// Behaviour of each controller in everyday traffic; absent if the plan makes no such drives.
     pub usefulness: Option<UsefulnessReport>,
     /// Proved claims.
@@ -226,7 +223,6 @@ pub fn assess(
     let searches = FailureSearches::gather(&work)?;
     let rules = SpecificationSearches::gather(&work)?;
     let worst_profiles = WorstProfiles::gather(&work)?;
-    let failure_maps = FailureMaps::gather(&work)?;
     let usefulness = UsefulnessReport::gather(&work)?;
     let scenarios = paper_scenarios.iter().flat_map(|paper| &paper.scenarios);
     let scenarios = scenarios.chain(traffic.iter().flat_map(|traffic| &traffic.scenarios));
@@ -264,7 +260,6 @@ pub fn assess(
         searches,
         specification_searches: rules,
         worst_profiles,
-        failure_maps,
         usefulness,
         proofs,
         limits,
@@ -327,7 +322,6 @@ impl AssessmentReport {
     pub fn appendix(&self) -> Vec<&dyn ReportPart> {
         let mut parts: Vec<&dyn ReportPart> = Vec::new();
         parts.extend(self.worst_profiles.as_ref().map(|worst| worst as &dyn ReportPart));
-        parts.extend(self.failure_maps.as_ref().map(|maps| maps as &dyn ReportPart));
         parts.extend([&self.space_descriptions as &dyn ReportPart, &Glossary, &self.provenance]);
         parts
     }

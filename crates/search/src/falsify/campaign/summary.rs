@@ -149,9 +149,6 @@ pub struct MethodSummary {
     /// Smallest robustness.
     #[serde(with = "crate::falsify::non_finite::optional")]
     pub best_robustness: Option<f64>,
-    /// Evaluations without a partner scenario, for which the failure criterion is undefined.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub without_partner: Option<u64>,
     /// Evaluations whose partner simulation gave no answer; they do not count as failures.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub other_unanswered: Option<FailedControllerRuns>,
@@ -260,27 +257,17 @@ impl CampaignSummary {
     }
 
     fn write_unanswered(&self, out: &mut String) -> std::fmt::Result {
-        let who = match &self.failure_criterion {
-            Some(FailureCriterionRecord::Differential { controller, .. }) => format!("`{}`", TerminalText(controller)),
-            _ => "the controller in the other scenario".to_owned(),
+        let Some(FailureCriterionRecord::Differential { controller, .. }) = &self.failure_criterion else {
+            return Ok(());
         };
         for method in &self.methods {
             if let Some(silent) = &method.other_unanswered {
                 let words = silent.describe(method.evaluations);
-                writeln!(out, "  NOT COMPARED: {who} {words} ({}); these do not count as failures", method.method)?;
-            }
-        }
-        Ok(())
-    }
-
-    fn write_without_partner(&self, out: &mut String) -> std::fmt::Result {
-        let Some(FailureCriterionRecord::Metamorphic(relation)) = &self.failure_criterion else { return Ok(()) };
-        for MethodSummary { method, evaluations, without_partner, .. } in &self.methods {
-            if let Some(alone @ 1..) = without_partner {
-                let partner = relation.describe_partner();
                 writeln!(
                     out,
-                    "  NOT COMPARED: {alone} of {evaluations} evaluations have no valid scenario {partner} ({method})"
+                    "  NOT COMPARED: `{}` {words} ({}); these do not count as failures",
+                    TerminalText(controller),
+                    method.method
                 )?;
             }
         }
@@ -344,7 +331,6 @@ impl CampaignSummary {
                 method.method, method.evaluations, method.failures
             )?;
         }
-        self.write_without_partner(out)?;
         self.write_unanswered(out)?;
         if !self.failures.is_empty() {
             writeln!(out, "\n  kinds of failures, and the evaluation at which each method found them first")?;

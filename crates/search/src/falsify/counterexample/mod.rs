@@ -43,9 +43,6 @@ pub struct Counterexample {
     pub file: String,
     /// Path of the scenario file as it was found.
     pub original_file: String,
-    /// Path of the partner scenario, which the controller passes; only for a metamorphic failure criterion.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub partner_file: Option<String>,
     /// Path of an escape of an avoidable failure, with scripts in place of the vehicles under test, without collision.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub escape_file: Option<String>,

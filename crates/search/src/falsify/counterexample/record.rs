@@ -120,9 +120,6 @@ impl Recorder<'_> {
         let beside = match &terms.failure_criterion {
             None => String::new(),
             Some(FailureCriterionRecord::Differential { controller, .. }) => format!(", and `{controller}` passes it"),
-            Some(FailureCriterionRecord::Metamorphic(relation)) => {
-                format!(", which it does not {}", relation.describe_partner())
-            }
         };
         let why = one.because.as_ref().map_or(String::new(), |because| format!(" {because}"));
         let found = format!(
@@ -168,16 +165,6 @@ impl Recorder<'_> {
         write(&file, (&one.scenario, verdict), name.clone(), found.clone() + how + &class, &one.analysis.avoidability)?;
         let original_name = format!("{name}-original");
         write(&original, (&one.original, as_found), original_name, found, &Avoidability::NotAsked)?;
-        let partner_file = match &terms.failure_criterion {
-            Some(FailureCriterionRecord::Metamorphic(relation)) => relation.partner(&one.scenario).map(|partner| {
-                let about = format!("{}: {}.", file, relation.describe_partner());
-                (format!("counterexamples/partners/{file}"), partner, about)
-            }),
-            _ => None,
-        };
-        if let Some((path, partner, about)) = &partner_file {
-            files.push(named_file(path.clone(), partner, format!("{name}-partner"), about.clone())?);
-        }
         let escape_file =
             one.analysis.escape.as_ref().map(|escape| (format!("counterexamples/escapes/{file}"), escape));
         if let Some((path, escape)) = &escape_file {
@@ -188,7 +175,6 @@ impl Recorder<'_> {
         Ok(Counterexample {
             file: format!("counterexamples/{file}"),
             original_file: format!("counterexamples/{original}"),
-            partner_file: partner_file.map(|(path, ..)| path),
             escape_file: escape_file.map(|(path, _)| path),
             kind,
             because: one.because.clone(),
