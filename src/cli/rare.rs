@@ -4,12 +4,13 @@ use std::fmt::Write;
 use std::path::Path;
 
 use super::simulate::OutputFormat;
-use super::{CliError, exposure, output, progress};
+use super::{CliError, exposure, interrupt, output, progress};
 use crumple_core::digits;
 use crumple_core::quoting::TerminalText;
-use crumple_evidence::rare::{MAX_LEVELS, PILOT_FACTORS, RareEstimate, RarePlan, RareReport};
+use crumple_evidence::rare::{MAX_LEVELS, PILOT_FACTORS, RareEstimate, RareFolder, RarePlan, RareReport};
 
-/// Estimates a rate, writes the estimate to `folder` and prints it. With `resume` it reads a finished estimate.
+/// Estimates a rate, writes the estimate to `folder` and prints it. With `resume` it continues from the existing
+/// results.
 pub(super) fn estimate(
     plan: &RarePlan,
     resamples: u32,
@@ -18,26 +19,46 @@ pub(super) fn estimate(
     format: OutputFormat,
     quiet: bool,
 ) -> Result<(), CliError> {
-    let kept = plan.open_folder(folder, resume)?;
+    let mut kept = plan.open_folder(folder, resume)?;
     let report = match kept.read_report()? {
         // The rate per hour requires estimates in resamples.
         Some(report) => {
             let bar = progress::counter("resampling", quiet);
-            let report = progress::show(&bar, |observer| plan.with_exposure(report, resamples, observer))?;
-            kept.write_report(&report)?;
+            let report = progress::show(&bar, |observer| kept.with_exposure(plan, report, resamples, observer))?;
+            if !kept.is_complete() {
+                kept.write_report(&report)?;
+            }
             report
         }
         None => {
-            let bar = progress::counter("placing levels", quiet);
-            let pilot = progress::show(&bar, |observer| plan.run_pilot(observer))?;
-            let bar = progress::run_bar("climbing", pilot.planned_runs(), quiet);
-            let report = progress::show(&bar, |observer| plan.estimate(&pilot, resamples, observer))?;
-            kept.write_report(&report)?;
+            let report = run_estimate(plan, resamples, (&mut kept, folder), quiet)?;
             output::note(&format!("wrote {}", kept.path().display()), quiet);
             report
         }
     };
     output::print_result(format, &report, || format_report(&report))
+}
+
+/// Makes all runs of an estimate that are not in its folder.
+fn run_estimate(
+    plan: &RarePlan,
+    resamples: u32,
+    (kept, folder): (&mut RareFolder, &Path),
+    quiet: bool,
+) -> Result<RareReport, CliError> {
+    interrupt::set_exit_message(resume_hint(plan, folder), quiet);
+    let bar = progress::counter("placing levels", quiet);
+    let pilot = progress::show(&bar, |observer| kept.run_pilot(plan, observer))?;
+    let bar = progress::run_bar("climbing", pilot.planned_runs(), quiet);
+    bar.inc(pilot.planned_runs() / plan.effort.repetitions.max(1) as u64 * kept.completed_repetitions());
+    Ok(progress::show(&bar, |observer| kept.estimate(plan, &pilot, resamples, observer))?)
+}
+
+fn resume_hint(plan: &RarePlan, folder: &Path) -> String {
+    match plan.controller.kind.identity() {
+        Some(_) => format!("the results so far are in {}: the same command with --resume continues", folder.display()),
+        None => "the controller states no identity, so the work cannot resume: start again with a new --out".to_owned(),
+    }
 }
 
 fn format_report(report: &RareReport) -> String {

@@ -65,7 +65,8 @@ continues an interrupted count. A run fails if vehicles collide.
 With --rare the probability of a failure too rare to count is estimated by multilevel splitting: populations of runs \
 climb from level to level of the smallest gap. A pilot determines the levels; the estimate is the mean of \
 independent repetitions, with an interval from their spread. The result is an estimate and no bound: it has no \
-certificate, and DIR/rare-estimate.json says so. --resume prints a finished estimate again.
+certificate, and DIR/rare-estimate.json says so. The pilot and every repetition are written to DIR as they end; \
+--resume continues an interrupted estimate, to the same bytes.
 
 If the space states the driving time and distance of its episodes (see `crumple fit`), failures are also given per \
 hour and per 1000 km, each with two intervals: one that takes the space for exact, and one with the uncertainty of \
@@ -128,7 +129,7 @@ struct RateCommand {
     /// Folder for registration, progress and certificate
     #[arg(long, value_name = "DIR", default_value = "crumple-rate")]
     out: PathBuf,
-    /// Resume an interrupted count, or print a complete count or estimate
+    /// Resume an interrupted count or estimate, or print a complete one
     #[arg(long)]
     resume: bool,
 }

@@ -208,6 +208,17 @@ fn a_rare_failure_is_estimated_and_never_certified() {
     assert_eq!(exit_code(&run_crumple(folder.path(), "verify rate --controller idm")), 2, "--runs is missing");
 }
 
+#[test]
+fn an_estimate_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_threads() {
+    let folder = temp_folder();
+    let asked = "verify rate --controller match-leader --rare --samples 100 --repetitions 12";
+    let after_ms = (0..8).map(|round| 100 + 100 * round..300 + 150 * round);
+    let through = assert_survives_kills(folder.path(), asked, after_ms);
+    assert_eq!(exit_code(&through), 0);
+    let other = run_crumple(folder.path(), &format!("{asked} --out killed --resume --seed 7"));
+    assert_refused(&other, "the rare-failure estimate there has a different configuration");
+}
+
 /// JSON and text agree, with the names of `check` and `suite run`.
 #[test]
 fn verification_results_are_machine_readable() {

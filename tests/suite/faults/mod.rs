@@ -26,6 +26,11 @@ const CAMPAIGN: ResumableCommand = ResumableCommand("falsify --controller baseli
 const COUNT: ResumableCommand =
     ResumableCommand("verify rate --controller idm --space paper --runs 400 --confidence 0.9", None);
 
+const ESTIMATE: ResumableCommand = ResumableCommand(
+    "verify rate --controller match-leader --rare --estimator truth --samples 50 --repetitions 20",
+    None,
+);
+
 const TRAINING: ResumableCommand =
     ResumableCommand("train --preset tiny.toml --seed 1 --episodes 33", Some(tiny::training));
 
@@ -161,6 +166,11 @@ fn a_campaign_survives_faults_and_loss_of_power() {
 #[test]
 fn a_count_survives_faults_and_loss_of_power() {
     assert_survives(&COUNT);
+}
+
+#[test]
+fn an_estimate_survives_faults_and_loss_of_power() {
+    assert_survives(&ESTIMATE);
 }
 
 #[test]

@@ -26,6 +26,9 @@
 
 mod folder;
 mod plan;
+mod progress;
+#[cfg(test)]
+mod progress_tests;
 mod splitting;
 #[cfg(test)]
 mod tests;
@@ -34,7 +37,7 @@ use serde::{Deserialize, Serialize};
 
 pub use folder::RareFolder;
 pub use plan::{RareError, RarePlan, RareReport};
-pub use splitting::{MAX_LEVELS, PILOT_FACTORS, SplittingLevels};
+pub use splitting::{MAX_LEVELS, PILOT_FACTORS, Repetition, SplittingLevels};
 
 /// Effort of an estimate.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -60,6 +63,7 @@ impl Default for SplittingConfig {
 
 /// A level and its results.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Serialize, Deserialize)]
+#[serde(try_from = "WrittenLevel")]
 pub struct Level {
     /// Threshold: runs with at most this robustness pass, in metres for collisions. The last level is the failure, at
     /// 0.
@@ -76,6 +80,27 @@ pub struct Level {
     pub step: Option<f64>,
     /// Share of accepted moves.
     pub acceptance: Option<f64>,
+}
+
+/// Serialised level; in old files all margins are called gaps.
+#[derive(Deserialize)]
+struct WrittenLevel {
+    robustness: Option<f64>,
+    smallest_gap_m: Option<f64>,
+    probability: f64,
+    share: f64,
+    step: Option<f64>,
+    acceptance: Option<f64>,
+}
+
+impl TryFrom<WrittenLevel> for Level {
+    type Error = &'static str;
+
+    fn try_from(written: WrittenLevel) -> Result<Self, &'static str> {
+        let WrittenLevel { robustness, smallest_gap_m, probability, share, step, acceptance } = written;
+        let margin = robustness.or(smallest_gap_m).ok_or("a level has no `robustness`")?;
+        Ok(Self { margin, smallest_gap_m, probability, share, step, acceptance })
+    }
 }
 
 /// Estimate of a rare failure rate.

@@ -7,7 +7,7 @@ use super::splitting::{LimitState, RandomInputs};
 use super::{RareEstimate, SplittingConfig, SplittingLevels};
 use crate::exposure::{FailureProbability, RatePerExposure, estimate_on_resamples};
 use crumple_core::digest::sha256;
-use crumple_core::observer::{Observer, ProgressCounter, RunProgress, Stopped};
+use crumple_core::observer::{ProgressCounter, Stopped};
 use crumple_store::run_folder::RunFolderError;
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
@@ -111,8 +111,10 @@ pub struct RareReport {
 }
 
 /// Configuration of an estimate, as its report states it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub(super) struct RareRecord {
-    crumple: String,
+    pub(super) crumple: String,
     pub(super) controller: String,
     pub(super) controller_sha256: Option<String>,
     policy_sha256: Option<String>,
@@ -154,60 +156,21 @@ impl LimitState for RarePlan {
 }
 
 impl RarePlan {
-    /// Runs the pilot, and reports every batch of runs.
-    ///
-    /// # Errors
-    /// [`RareError`] if a run fails, or `observer` stops the pilot.
-    pub fn run_pilot(&self, observer: &dyn Observer<RunProgress>) -> Result<SplittingLevels, RareError> {
-        SplittingLevels::run_pilots(self, self.effort, self.seed, &ProgressCounter::new(observer, None))
-    }
-
-    /// Runs the repetitions and, with a space that is fitted to episodes, estimates with less effort in spaces that are
-    /// fitted to `resamples`.
-    ///
-    /// # Errors
-    /// [`RareError`] if a run fails, or `observer` stops the estimate.
-    pub fn estimate(
+    /// Returns the rates per exposure, if the space states it. `again` estimates in another space.
+    pub(super) fn rate_per_exposure(
         &self,
-        pilot: &SplittingLevels,
+        estimate: &RareEstimate,
         resamples: u32,
-        observer: &dyn Observer<RunProgress>,
-    ) -> Result<RareReport, RareError> {
-        let counter = ProgressCounter::new(observer, None);
-        let report = self.record()?.report(pilot.estimate(self, &counter)?);
-        self.add_exposure(report, resamples, &counter)
-    }
-
-    /// Adds rates per hour, if the space states its exposure.
-    ///
-    /// # Errors
-    /// [`RareError`] if a run fails, or `observer` stops the estimates in resamples.
-    pub fn with_exposure(
-        &self,
-        report: RareReport,
-        resamples: u32,
-        observer: &dyn Observer<RunProgress>,
-    ) -> Result<RareReport, RareError> {
-        self.add_exposure(report, resamples, &ProgressCounter::new(observer, None))
-    }
-
-    fn add_exposure(
-        &self,
-        report: RareReport,
-        resamples: u32,
-        counter: &ProgressCounter<'_>,
-    ) -> Result<RareReport, RareError> {
+        again: &mut dyn FnMut(&ScenarioSpace, u64) -> Result<RareEstimate, RareError>,
+    ) -> Result<Option<RatePerExposure>, RareError> {
         if self.space.spec().exposure.is_none() {
-            return Ok(report);
+            return Ok(None);
         }
-        let again = &mut |space: &ScenarioSpace, seed| self.estimate_in_space(space, seed, counter);
         let resamples = estimate_on_resamples(&self.space, self.seed, resamples, again)?;
-        let known = FailureProbability::Estimated(&report.estimate);
-        let exposure = RatePerExposure::new(&self.space, known, resamples.as_ref());
-        Ok(RareReport { exposure, ..report })
+        Ok(RatePerExposure::new(&self.space, FailureProbability::Estimated(estimate), resamples.as_ref()))
     }
 
-    fn estimate_in_space(
+    pub(super) fn estimate_in_space(
         &self,
         space: &ScenarioSpace,
         seed: u64,
@@ -240,20 +203,21 @@ impl RarePlan {
 }
 
 impl RareRecord {
-    fn report(self, estimate: RareEstimate) -> RareReport {
+    pub(super) fn report(&self, estimate: RareEstimate) -> RareReport {
+        let record = self.clone();
         RareReport {
             version: 1,
-            crumple: self.crumple,
+            crumple: record.crumple,
             certified: false,
-            controller: self.controller,
-            policy_sha256: self.policy_sha256,
-            nondeterministic: self.nondeterministic,
-            estimator: self.estimator,
-            space: self.space,
-            space_sha256: self.space_sha256,
-            failure: self.failure,
-            seed: self.seed,
-            effort: self.effort,
+            controller: record.controller,
+            policy_sha256: record.policy_sha256,
+            nondeterministic: record.nondeterministic,
+            estimator: record.estimator,
+            space: record.space,
+            space_sha256: record.space_sha256,
+            failure: record.failure,
+            seed: record.seed,
+            effort: record.effort,
             estimate,
             exposure: None,
         }

@@ -1,8 +1,11 @@
 //! Multilevel splitting: a pilot that places the levels, and unbiased repetitions.
 
+use std::ops::Range;
+
 use rand::RngExt;
 use rand_distr::{Distribution, StandardNormal};
 use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
 use statrs::distribution::{ContinuousCDF, StudentsT};
 
 use super::{Level, RareEstimate, SplittingConfig};
@@ -10,6 +13,8 @@ use crate::RateInterval;
 use crumple_core::observer::{ProgressCounter, Stopped};
 use crumple_world::random::{Purpose, Stream, stream};
 
+/// Minimum number of runs between checkpoints: writing one costs milliseconds.
+const MIN_RUNS_PER_WRITE: u64 = 500;
 /// Maximum number of levels: a rarer failure than about 10⁻¹² is not reached.
 pub const MAX_LEVELS: usize = 18;
 /// Population sizes of pilots, relative to a repetition. The next pilot runs if the earlier ones reached no failure: a
@@ -49,21 +54,25 @@ pub(super) trait LimitState: Sync {
 }
 
 /// Levels that a pilot placed.
-#[derive(Debug, Clone, PartialEq)]
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 pub struct SplittingLevels {
     effort: SplittingConfig,
     seed: u64,
     stages: Vec<SplittingStage>,
+    #[serde(rename = "pilot")]
     pilot_runs: u64,
     /// Number of independent initial samples; only those of the first pilot if a failure was reached.
     pilot_draws: u64,
     pilot_failures: u64,
+    #[serde(rename = "reached")]
     reaches_failure: bool,
     /// Levels of the pilot, for a report without a reached failure.
     pilot_levels: Vec<Level>,
 }
 
-#[derive(Debug, Clone, Copy, PartialEq)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct SplittingStage {
     threshold: f64,
     is_last: bool,
@@ -89,13 +98,18 @@ struct ParticlePopulation<'a, P: LimitState> {
 }
 
 /// Result of a repetition by splitting.
-struct Repetition {
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Repetition {
+    #[serde(rename = "failures")]
     initial_failures: u64,
+    #[serde(rename = "seen")]
     levels: Vec<LevelStats>,
     evaluations: u64,
 }
 
-#[derive(Clone, Copy)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
 struct LevelStats {
     share: f64,
     accepted: u64,
@@ -237,6 +251,27 @@ impl SplittingLevels {
         }
     }
 
+    /// Runs some of the repetitions; each depends only on the seed and its number.
+    ///
+    /// # Errors
+    /// Errors of the problem.
+    pub(super) fn run_repetitions<P: LimitState>(
+        &self,
+        problem: &P,
+        repetitions: Range<u64>,
+        counter: &ProgressCounter<'_>,
+    ) -> Result<Vec<Repetition>, P::Error> {
+        let planned = if self.reaches_failure { self.effort.repetitions as u64 } else { 0 };
+        let repetitions = repetitions.start..repetitions.end.min(planned);
+        let repeat = |index: u64| {
+            let random = stream(self.seed, Purpose::RareEvents, 1 + index);
+            let mut climber = ParticlePopulation::new(problem, self.effort.samples, random, counter);
+            let (initial_failures, levels) = climber.climb(&self.stages)?;
+            Ok(Repetition { initial_failures, levels, evaluations: climber.evaluations })
+        };
+        repetitions.into_par_iter().map(repeat).collect()
+    }
+
     /// Runs all repetitions. The result does not depend on the number of threads.
     ///
     /// # Errors
@@ -246,19 +281,36 @@ impl SplittingLevels {
         problem: &P,
         counter: &ProgressCounter<'_>,
     ) -> Result<RareEstimate, P::Error> {
-        let planned = if self.reaches_failure { self.effort.repetitions as u64 } else { 0 };
-        let repeat = |index: u64| {
-            let random = stream(self.seed, Purpose::RareEvents, 1 + index);
-            let mut climber = ParticlePopulation::new(problem, self.effort.samples, random, counter);
-            let (initial_failures, levels) = climber.climb(&self.stages)?;
-            Ok(Repetition { initial_failures, levels, evaluations: climber.evaluations })
+        Ok(self.summary(self.run_repetitions(problem, 0..u64::MAX, counter)?))
+    }
+
+    /// Returns the number of repetitions between checkpoints: at least one per thread, and more if they are short.
+    pub(super) fn repetitions_per_write(&self) -> u64 {
+        let each = (self.planned_runs() / self.effort.repetitions.max(1) as u64).max(1);
+        MIN_RUNS_PER_WRITE.div_ceil(each).max(rayon::current_num_threads() as u64)
+    }
+
+    pub(super) fn is_placed_by(&self, effort: SplittingConfig, seed: u64) -> bool {
+        self.effort == effort.clamped() && self.seed == seed
+    }
+
+    pub(super) fn is_consistent_with(&self, repetitions: &[Repetition]) -> bool {
+        let samples = self.effort.samples as u64;
+        let moves = samples.saturating_mul(MOVES_PER_LEVEL as u64);
+        let is_share = |seen: &LevelStats| {
+            (0.0..=1.0).contains(&seen.share) && seen.accepted <= seen.proposed && seen.proposed <= moves
         };
-        let repeated = (0..planned).into_par_iter().map(repeat).collect::<Result<Vec<_>, P::Error>>()?;
-        Ok(self.summary(repeated))
+        let may_be = |one: &Repetition| {
+            let most = moves.saturating_mul(self.stages.len() as u64).saturating_add(samples);
+            let is_short = one.levels.len() <= self.stages.len() && one.initial_failures <= samples;
+            is_short && one.levels.iter().all(is_share) && one.evaluations <= most
+        };
+        repetitions.iter().all(may_be)
     }
 
     /// Returns the estimate from all repetitions, in order.
-    fn summary(&self, repeated: Vec<Repetition>) -> RareEstimate {
+    #[must_use]
+    pub fn summary(&self, repeated: Vec<Repetition>) -> RareEstimate {
         let independent_runs = (1 + repeated.len() as u64) * self.effort.samples as u64;
         let independent_failures =
             repeated.iter().map(|one| one.initial_failures).fold(self.pilot_failures, u64::saturating_add);

@@ -191,12 +191,25 @@ fn splitting_agrees_with_counting_on_the_road() {
     let plan = RarePlan { estimator, effort, ..rare_plan(5, 10) };
     let count = RateConfig { seed: 1, ..RateConfig::new(plan.controller.clone(), plan.space.clone(), COUNTED) };
     let counted = count_all(&RatePlan::new(count).unwrap()).failures as f64 / COUNTED as f64;
-    let pilot = plan.run_pilot(&Quiet).unwrap();
-    let report = plan.estimate(&pilot, 0, &Quiet).unwrap();
+    let root = tempfile::tempdir().unwrap();
+    let mut folder = plan.open_folder(root.path(), false).unwrap();
+    let pilot = folder.run_pilot(&plan, &Quiet).unwrap();
+    let report = folder.estimate(&plan, &pilot, 0, &Quiet).unwrap();
     let (climbed, variation) =
         (report.estimate.probability.unwrap(), report.estimate.coefficient_of_variation.unwrap());
     assert!((0.004..0.02).contains(&counted), "{counted}");
     assert!(report.estimate.levels.len() > 1 && variation < 0.2, "{report:?}");
     let deviation = (counted / COUNTED as f64 + (climbed * variation).powi(2)).sqrt();
     assert!((climbed - counted).abs() < 4.0 * deviation, "{climbed} and {counted}, deviation {deviation}");
+}
+
+#[test]
+fn levels_are_read_as_they_are_and_were_written() {
+    let level = |named: &str| format!("{{{named}\"probability\":0.5,\"share\":0.5,\"step\":null,\"acceptance\":null}}");
+    let read = |named: &str| serde_json::from_str::<Level>(&level(named));
+    assert_eq!(read("\"smallest_gap_m\":1.5,").unwrap().margin, 1.5);
+    let rule = read("\"robustness\":1.5,").unwrap();
+    assert_eq!((rule.margin, rule.smallest_gap_m), (1.5, None));
+    assert_eq!(serde_json::to_string(&rule).unwrap(), level("\"robustness\":1.5,"));
+    assert!(read("").unwrap_err().to_string().contains("no `robustness`"));
 }
