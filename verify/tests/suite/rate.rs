@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use crumple_verify::rate::binomial_tail_upper_bound;
-use crumple_verify::{ComparisonClaim, ProvedClaim, RateClaim, Registration, Rejection, Statement, check};
+use crumple_verify::{ComparisonClaim, ProvedClaim, RateClaim, Registration, Rejection, Statement};
 
-use crate::support::certificate;
+use crate::support::{certificate, check};
 
 fn check_statement(statement: Statement) -> Result<ProvedClaim, Rejection> {
     check(&certificate(statement))
