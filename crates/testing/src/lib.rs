@@ -16,6 +16,7 @@ pub mod generator;
 mod near;
 mod property;
 mod scenarios;
+mod serve;
 mod shrink;
 
 pub use check::{ControllerCheck, check};
@@ -25,3 +26,4 @@ pub use crumple_world as world;
 pub use failure::{CheckError, CheckSummary, PropertyFailure};
 pub use property::{Property, PropertyVerdict};
 pub use scenarios::{ScenarioTree, Scenarios, ScenariosError};
+pub use serve::{ServingError, serve};
