@@ -8,10 +8,12 @@ use serde::Serialize;
 use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, output, progress, value_enums};
 use crumple_core::observer::Listener;
+use crumple_evidence::MethodComparison;
 use crumple_search::falsify::campaign::{
     Campaign, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog, MethodSummary, SearchObjective,
 };
 use crumple_search::falsify::{FailureCriterion, Method, non_finite};
+use crumple_store::disk::StagedFiles;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{FindSpaceError, ScenarioSpace, find_space};
@@ -26,6 +28,10 @@ evaluation as compressed CSV (`evaluations/`), each distinct failure as a scenar
 summary. --resume continues an interrupted campaign, even after `kill -9`, and gives the same bytes. `work.json` \
 lists all files with their hashes: --resume refuses a folder with truncated, edited, moved or additional files and \
 names them. This does not protect against a person who changes the files and `work.json` together.
+
+--compare prints for each method the falsification rate and the mean and median number of simulations up to the first \
+failure, and compares all pairs of methods on the same seeds by exact tests (McNemar and sign test, with the \
+correction of Holm).
 
 Named specifications for --spec are `no braking without cause` (how much harder than a reference driver the vehicle \
 may brake), `imposed braking at most 4 m/s2` (of the follower) and `no amplification` (the vehicle's largest change \
@@ -45,6 +51,7 @@ Examples:
   crumple falsify --controller idm --spec 'always v1.time_gap_s > 0.3' --out runs/idm
   crumple falsify --controller policy --aim likeliest --out runs/likeliest
   crumple falsify --controller my-acc.toml --space traffic --budget 5000 --expect nothing
+  crumple falsify --controller idm --compare auto,cma-es,uniform --seeds 30 --budget 500
   crumple simulate runs/baseline/counterexamples/01-2-hits-1.toml --controller baseline \\
     --plot crash.svg
   crumple simulate runs/idm/counterexamples/01-violation.toml --controller idm \\
@@ -79,6 +86,21 @@ pub(super) struct Falsify {
     /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
+    /// Compare methods instead of a campaign: names separated by commas, as in `auto,cma-es,uniform`. Each method runs
+    /// with each of --seeds up to its first failure
+    #[arg(
+        long,
+        value_name = "METHODS",
+        value_delimiter = ',',
+        conflicts_with_all = ["method", "aim", "log", "expect", "out", "resume"]
+    )]
+    compare: Vec<Method>,
+    /// Number of seeds of --compare, from --seed on: 1 to 1000
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = value_parser!(u64).range(1..=1000))]
+    seeds: u64,
+    /// Write the runs of --compare as a table, one row for each method and seed; replaces an existing file
+    #[arg(long, value_name = "F.csv", requires = "compare")]
+    table: Option<PathBuf>,
     /// Detail of the log of evaluations
     #[arg(long, value_name = "L", default_value = "full", value_parser = value_enums::one_of(value_enums::LOGS))]
     log: EvaluationLog,
@@ -150,6 +172,9 @@ impl Falsify {
             budget: self.budget,
             seed: self.seed,
         };
+        if !self.compare.is_empty() {
+            return compare(&campaign, &self.compare, self.seeds, self.table.as_deref(), self.format, quiet);
+        }
         let kept = format!("the evaluations so far are in {}", self.out.display());
         let resume_note = match campaign.controller.kind.identity() {
             Some(_) => format!("{kept}: the same command with --resume continues"),
@@ -176,6 +201,33 @@ impl Falsify {
         let expected = self.expect.map_or(Ok(()), |expected| expected.check(&summary));
         CliError::gate_first(expected, print_summary(&summary, self.format))
     }
+}
+
+/// Compares methods and prints the result.
+fn compare(
+    campaign: &Campaign,
+    methods: &[Method],
+    seeds: u64,
+    table: Option<&Path>,
+    format: OutputFormat,
+    quiet: bool,
+) -> Result<(), CliError> {
+    let total = campaign.budget.saturating_mul(seeds).saturating_mul(methods.len() as u64);
+    let bar = progress::campaign_bar(total, quiet);
+    let observer = Listener(|state: &CampaignProgress| {
+        bar.set_position(state.evaluations);
+        let method = state.method.as_ref().map_or("", Method::name);
+        bar.set_message(format!("{method}: {};", format_failure_count(state.failures)));
+    });
+    let comparison = MethodComparison::run(campaign, methods, seeds, &observer);
+    bar.finish_and_clear();
+    let comparison = comparison?;
+    if let Some(path) = table {
+        let mut files = StagedFiles::default();
+        files.stage(&output::resolve_output_path(path)?, comparison.to_csv())?;
+        files.commit()?;
+    }
+    output::print_result(format, &comparison, || comparison.to_text())
 }
 
 /// JSON summary. Some fields refer to the requested method and some to all methods; the two additional fields

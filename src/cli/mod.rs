@@ -25,6 +25,7 @@ mod import;
 mod import_openscenario;
 mod interrupt;
 mod list;
+mod new;
 mod output;
 mod output_folder;
 mod preset;
@@ -75,7 +76,7 @@ const TASKS: &[(&str, &[&str])] = &[
     ("Use recorded data", &["import", "fit", "replay"]),
     ("Manage results", &["fsck"]),
     ("Look up", &["list", "show", "describe", "doctor"]),
-    ("Set up the shell", &["completions", "man"]),
+    ("Set up", &["new", "completions", "man"]),
 ];
 
 /// Tests longitudinal driving controllers in simulation, before they reach the road.
@@ -116,6 +117,7 @@ enum CliCommand {
     List(list::ListCommand),
     Show(show::Show),
     Describe(describe::Describe),
+    New(new::New),
     Doctor(doctor::Doctor),
     Completions(shell::Completions),
     Man(shell::Man),
@@ -164,6 +166,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         CliCommand::List(command) => command.run(),
         CliCommand::Show(command) => command.run(quiet),
         CliCommand::Describe(command) => command.run(),
+        CliCommand::New(command) => command.run(quiet),
         CliCommand::Doctor(command) => command.run(),
         CliCommand::Completions(command) => command.run(build_command()),
         CliCommand::Man(command) => command.run(build_command(), quiet),

@@ -5,9 +5,11 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 use super::output;
-use super::run_report::{RunReport, SpecificationResult, describe, fell_behind, lane_changes, unnecessary_braking};
+use super::run_report::{
+    PartReport, RunReport, SpecificationResult, describe, fell_behind, lane_changes, unnecessary_braking,
+};
 use super::{CliError, args, feature, value_enums};
-use crumple_report::draw::{self, MotionFigure, PanelArrangement};
+use crumple_report::draw::{self, MotionFigure, PanelArrangement, Svg};
 use crumple_report::export;
 use crumple_search::confirmation::ReplayShare;
 use crumple_search::falsify::counterexample::{ExpectedFile, VerdictRecordReader};
@@ -42,7 +44,9 @@ Examples:
   crumple simulate paper-1 --after-contact continue --plot pile-up.svg
   crumple simulate my-scenario.toml --controller idm --expect useful --format json
   crumple simulate paper-1 --controller idm --spec 'always v1.time_gap_s > 0.3' \\
-    --spec 'no contact' --expect satisfied")]
+    --spec 'no contact' --expect satisfied
+  crumple simulate paper-1 --spec 'always (v1.gap_m > 2 and v2.gap_m > 2)' --parts \\
+    --plot parts.svg")]
 pub(super) struct Simulate {
     /// Built-in scenarios (see `crumple list scenarios`), scenario files, or folders of scenario files
     #[arg(required = true, value_name = "SCENARIO")]
@@ -82,6 +86,9 @@ pub(super) struct Simulate {
     /// repeated
     #[arg(long, value_name = "STL")]
     spec: Vec<String>,
+    /// Also evaluate each part of the formulas over time; --plot draws the first twelve below the diagrams
+    #[arg(long, requires = "spec")]
+    parts: bool,
     /// Exit with 1 unless every scenario ends like this
     #[arg(long, value_enum)]
     expect: Option<RunExpectation>,
@@ -214,8 +221,13 @@ impl Simulate {
             let name = is_one_of_many.then_some(run.scenario().spec().name.as_str());
             if let Some(path) = &self.plot {
                 let (scenario, controller) = (run.scenario(), &self.controller.name);
-                let figure = render_motion_figure(path, scenario, controller, trace, &simulated.impacts)?;
-                files.push((path_for_scenario(path, name), figure));
+                let mut figure = draw_motion(scenario, controller, trace, &simulated.impacts);
+                let parts = report.specifications.iter().flat_map(|evaluated| &evaluated.parts);
+                let parts: Vec<_> = parts.map(|report| report.part.clone()).collect();
+                if !parts.is_empty() {
+                    figure = draw::add_robustness("motion", &figure, &parts, run.dt_s());
+                }
+                files.push((path_for_scenario(path, name), encode_figure(path, &figure)?));
             }
             if let Some(path) = &self.trace {
                 let table = match extension(path) {
@@ -319,7 +331,10 @@ impl Simulate {
             };
             let verdict = specification.evaluate(&runs[index].0, &runs[index].2)?;
             let (satisfied, robustness) = (!verdict.is_violation(), verdict.robustness);
-            Ok(SpecificationResult { specification: specification.to_string(), satisfied, robustness })
+            let parts =
+                if self.parts { specification.parts_over_time(&runs[index].0, &runs[index].2)? } else { Vec::new() };
+            let parts = parts.into_iter().map(PartReport::from).collect();
+            Ok(SpecificationResult { specification: specification.to_string(), satisfied, robustness, parts })
         };
         self.spec.iter().map(evaluate).collect()
     }
@@ -360,12 +375,19 @@ pub(super) fn render_motion_figure(
     trace: &Trace,
     impacts: &[Impact],
 ) -> Result<Vec<u8>, CliError> {
+    encode_figure(path, &draw_motion(scenario, controller, trace, impacts))
+}
+
+fn draw_motion(scenario: &Scenario, controller: &str, trace: &Trace, impacts: &[Impact]) -> Svg {
     let title = format!("{}, {controller}", scenario.spec().name);
     let labels = draw::vehicle_names(scenario);
     let figure = MotionFigure { prefix: "motion", title: &title, labels: &labels, trace, impacts };
-    let picture = draw::draw_motion(&figure, PanelArrangement::Wide);
+    draw::draw_motion(&figure, PanelArrangement::Wide)
+}
+
+fn encode_figure(path: &Path, picture: &Svg) -> Result<Vec<u8>, CliError> {
     match extension(path) {
-        Some("png") => feature::render_png(&picture),
+        Some("png") => feature::render_png(picture),
         _ => Ok(picture.document().into_bytes()),
     }
 }

@@ -17,6 +17,7 @@ mod metamorphic;
 mod near;
 mod property;
 mod scenarios;
+mod serve;
 mod shrink;
 
 pub use check::{ControllerCheck, check};
@@ -26,3 +27,4 @@ pub use failure::{CheckError, CheckSummary, PropertyFailure};
 pub use metamorphic::MetamorphicRelation;
 pub use property::{Property, PropertyVerdict};
 pub use scenarios::{ScenarioTree, Scenarios, ScenariosError};
+pub use serve::{ServingError, serve};

@@ -173,10 +173,10 @@ impl Property {
         &self.name
     }
 
-    /// Evaluates a controller in a scenario.
+    /// Evaluates a controller in a scenario, with a step that suits its decision interval.
     #[must_use]
     pub fn evaluate(&self, controller: &ControllerUnderTest, scenario: &Scenario) -> PropertyVerdict {
-        match catch_unwind(AssertUnwindSafe(|| (self.evaluate)(controller, scenario))) {
+        match catch_unwind(AssertUnwindSafe(|| (self.evaluate)(controller, &controller.adapt(scenario)))) {
             Ok(Ok(verdict)) => verdict,
             Ok(Err(error)) => PropertyVerdict::NotApplicable(error.to_string()),
             Err(panic) => {

@@ -1,16 +1,19 @@
-"""Falsification campaigns."""
+"""Falsification campaigns, and comparisons of search methods."""
 
 from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from crumple._controller import as_controller
 from crumple._crumple import Figure, Scenario, Simulation
+from crumple._crumple import compare as _compare
 from crumple._crumple import falsify as _falsify
+from crumple._search import SearchMethod
 from crumple._simulate import ControllerLike, Progress, SpaceLike, simulate
 from crumple._simulate import space as find_space
 
@@ -62,7 +65,7 @@ def falsify(
     *,
     spec: str = "no contact",
     against: ControllerLike | None = None,
-    method: str = "auto",
+    method: str | SearchMethod = "auto",
     aim: str = "severest",
     budget: int = 2000,
     seed: int = 0,
@@ -74,6 +77,8 @@ def falsify(
     """Searches a space for scenarios in which a controller fails, as ``crumple falsify`` does.
 
     With ``against``, another controller, a failure counts only if that controller passes the same scenario.
+
+    ``method`` is a name as on the command line, or a :class:`crumple.SearchMethod` of your own.
 
     ``folder`` is the run folder, as on the command line, and ``resume`` continues it; a controller in Python then needs
     an identity. ``progress`` is called with the numbers of completed evaluations, of all evaluations, and of failures.
@@ -117,3 +122,38 @@ def falsify(
         for found in summary["counterexamples"]
     ]
     return Campaign(failures, summary, text)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Comparison of search methods."""
+
+    data: dict[str, Any] = field(repr=False)
+    """Output of ``crumple falsify --compare --format json``."""
+    text: str = field(repr=False)
+    """Tables as text."""
+
+    def __str__(self) -> str:
+        return self.text
+
+
+def compare(
+    controller: ControllerLike,
+    space: SpaceLike = "high-risk",
+    *,
+    methods: Sequence[str | SearchMethod],
+    seeds: int = 30,
+    spec: str = "no contact",
+    against: ControllerLike | None = None,
+    budget: int = 2000,
+    seed: int = 0,
+    estimator: Literal["kalman", "truth"] = "kalman",
+    progress: Progress | None = None,
+) -> Comparison:
+    """Compares search methods on the same seeds, as ``crumple falsify --compare`` does.
+
+    Each method runs with each seed up to its first failure, with at most ``budget`` simulations.
+    """
+    reference = None if against is None else as_controller(against)
+    resolved, found = as_controller(controller), find_space(space)
+    return Comparison(*_compare(resolved, found, spec, reference, list(methods), seeds, budget, seed, estimator, progress))

@@ -6,6 +6,7 @@ mod exchange;
 pub(crate) mod falsify;
 mod fit;
 mod import_openscenario;
+mod new;
 mod output_folders;
 mod outputs;
 mod printed_text;

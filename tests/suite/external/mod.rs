@@ -70,6 +70,7 @@ const CASES: &[(&str, &str, StartExpectation)] = &[
     ("describe", "evil.fmu", StartsNothing),
     ("describe", "evil.fmu --format json", StartsNothing),
     ("describe", EXEC_CONTROLLER, StartsNothing),
+    ("new", "o", StartsNothing),
     ("doctor", "", StartsNothing),
     ("completions", "bash", StartsNothing),
     ("man", "--out o", StartsNothing),

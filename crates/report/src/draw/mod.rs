@@ -21,6 +21,7 @@ mod panel;
 mod path;
 #[cfg(feature = "png")]
 mod png;
+mod robustness;
 mod scale;
 mod theme;
 mod vehicle_names;
@@ -38,6 +39,7 @@ pub use panel::{Anchor, HEADING_HEIGHT, Marker, Panel, draw_marker, draw_text};
 pub(crate) use path::PixelPoint;
 #[cfg(feature = "png")]
 pub use png::DrawError;
+pub use robustness::add_robustness;
 pub use scale::{extent, format_number, pad_interval};
 pub use theme::{Ink, SMALL_TEXT_SIZE, STYLE, Stroke};
 pub use vehicle_names::vehicle_names;

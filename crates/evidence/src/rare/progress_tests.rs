@@ -1,0 +1,102 @@
+use std::fs;
+use std::path::Path;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use proptest::prelude::*;
+
+use super::progress::PROGRESS_FILE;
+use super::*;
+use crate::fixtures::rare_plan;
+use crumple_core::observer::{Listener, RunProgress};
+
+fn with_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
+    rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap().install(work)
+}
+
+fn run_until(plan: &RarePlan, folder: &Path, plug: u64) -> Option<u64> {
+    let runs = AtomicU64::new(0);
+    // Pilot and repetitions both count from 0.
+    let after = |before: u64| {
+        let runs = &runs;
+        Listener(move |progress: &RunProgress| {
+            assert!(before + progress.done <= plug, "the plug is pulled");
+            runs.fetch_max(before + progress.done, Ordering::SeqCst);
+        })
+    };
+    let so_far = || runs.load(Ordering::SeqCst);
+    let work = || {
+        let mut kept = plan.open_folder(folder, true).unwrap();
+        if kept.read_report().unwrap().is_none() {
+            let pilot = kept.run_pilot(plan, &after(0)).unwrap();
+            kept.estimate(plan, &pilot, 0, &after(so_far())).unwrap();
+        }
+    };
+    let ended = std::panic::catch_unwind(std::panic::AssertUnwindSafe(work));
+    ended.ok().map(|()| runs.into_inner())
+}
+
+fn assert_same(one: &Path, other: &Path) {
+    for name in ["rare-estimate.json", "work.json"] {
+        assert!(fs::read(one.join(name)).unwrap() == fs::read(other.join(name)).unwrap(), "{name}");
+    }
+    assert!(!one.join(PROGRESS_FILE).exists() && !one.join("previous").exists());
+}
+
+proptest! {
+    #![proptest_config(crumple_cases::with_cases(2))]
+
+    /// Repeated interruptions, with any number of threads, do not change the bytes of the result.
+    #[test]
+    fn an_interrupted_estimate_resumes_to_the_same_bytes(
+        seed in 0..20_u64,
+        interruptions in prop::collection::vec((100..6000_u64, 1..=3_usize), 1..5),
+    ) {
+        let plan = rare_plan(seed, 14);
+        let root = tempfile::tempdir().unwrap();
+        let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
+        let all = with_threads(2, || run_until(&plan, &through, u64::MAX)).unwrap();
+        let interrupted = |&(runs, threads): &(u64, usize)| {
+            with_threads(threads, || run_until(&plan, &broken, runs)).is_none()
+        };
+        let times = interruptions.iter().filter(|one| interrupted(one)).count();
+        let left = with_threads(3, || run_until(&plan, &broken, u64::MAX)).unwrap();
+        prop_assert!(left <= all && (times > 0 || left == 0), "{left} of {all} after {times} interruptions");
+        assert_same(&through, &broken);
+    }
+}
+
+#[test]
+fn repetitions_are_kept_as_they_end() {
+    let (plan, root) = (rare_plan(1, 14), tempfile::tempdir().unwrap());
+    let [through, broken] = ["through", "broken"].map(|name| root.path().join(name));
+    let all = with_threads(1, || run_until(&plan, &through, u64::MAX)).unwrap();
+    assert_eq!(with_threads(1, || run_until(&plan, &broken, all - 1)), None);
+    assert!(plan.open_folder(&broken, true).unwrap().completed_repetitions() >= 4);
+    let left = with_threads(1, || run_until(&plan, &broken, u64::MAX)).unwrap();
+    assert!(left > 0 && left < all / 3, "{left} of {all}");
+    assert_same(&through, &broken);
+}
+
+#[test]
+fn only_the_same_estimate_resumes_an_unfinished_folder() {
+    let (plan, root) = (rare_plan(1, 14), tempfile::tempdir().unwrap());
+    assert_eq!(with_threads(1, || run_until(&plan, root.path(), 3000)), None);
+    assert!(root.path().join(PROGRESS_FILE).exists());
+    let error = |plan: &RarePlan, resume| plan.open_folder(root.path(), resume).err().map(|error| error.to_string());
+    assert!(
+        error(&plan, false).unwrap().ends_with("already holds a rare-failure estimate: use --resume or another --out")
+    );
+    for other in [rare_plan(2, 14), rare_plan(1, 15)] {
+        assert!(
+            error(&other, true).unwrap().ends_with("the rare-failure estimate there has a different configuration")
+        );
+    }
+    let kept = plan.open_folder(root.path(), true).unwrap();
+    let text = fs::read_to_string(root.path().join(PROGRESS_FILE)).unwrap();
+    drop(kept);
+    let path = root.path().join(PROGRESS_FILE);
+    fs::write(&path, text.replacen("\"seed\":1", "\"seed\":2", 1)).unwrap();
+    assert!(error(&plan, true).unwrap().contains("progress.json: has changed since it was written"));
+    fs::write(&path, text).unwrap();
+    assert_eq!(error(&plan, true), None);
+}
