@@ -16,7 +16,7 @@ use crumple_search::worst_case::covers_scenario;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::FileError;
 use crumple_world::scenario::space::{self, ScenarioSpace};
-use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names, file};
+use crumple_world::scenario::{Scenario, file};
 use crumple_world::sim::NamedController;
 
 /// Reason why a statement does not match its texts.
