@@ -39,8 +39,8 @@ pub struct Certificate {
 
 /// The subject of a statement: a scenario, a box around one, or a scenario space.
 ///
-/// Its text is part of the certificate, and its hash is checked. `crumple check` compares the text with the numbers of
-/// the statement. A kernel concerns no single scenario, so these fields are absent.
+/// The text of the subject is part of the certificate, and its hash is checked. `crumple check` compares the text with
+/// the numbers of the statement. A kernel concerns no single scenario, so these fields are absent.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CertificateProvenance {
@@ -284,7 +284,8 @@ pub enum CertificateParseError {
     Json(#[from] serde_json::Error),
     /// The version is unknown.
     #[error(
-        "has version {0} in field `version`, and only version {VERSION} is known: repeat the command that wrote the file"
+        "has version {0} in field `version`, and only version {VERSION} is known: repeat the command that wrote the \
+         file"
     )]
     UnknownVersion(u32),
     /// The text is not canonical: fields in another order, numbers with superfluous digits, explicit defaults.

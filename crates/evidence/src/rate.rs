@@ -230,9 +230,7 @@ impl RatePlan {
         &self.record.registration
     }
 
-    /// Returns the registration and the text of the space.
-    #[must_use]
-    pub fn record(&self) -> &CountRecord {
+    pub(super) fn record(&self) -> &CountRecord {
         &self.record
     }
 

@@ -13,7 +13,7 @@ use crumple_world::sim::FailedControllerRuns;
 
 /// Registration of a count, and its space as a file.
 #[derive(Debug, Clone, PartialEq)]
-pub struct CountRecord {
+pub(super) struct CountRecord {
     pub(super) registration: Registration,
     pub(super) space_text: String,
 }
