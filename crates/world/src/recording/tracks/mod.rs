@@ -98,8 +98,8 @@ fn sortable(time_ms: i64) -> u64 {
     time_ms as u64 ^ 1 << 63
 }
 
-/// Sorts points in order of their lines by vehicle and time, and keeps the first of several points of a vehicle at one time. Returns the first
-/// duplicate and the number of duplicates.
+/// Sorts points, which are in order of their lines, by vehicle and time. Keeps the first of several points of a vehicle
+/// at one time. Returns the first duplicate and the number of duplicates.
 pub(super) fn sort(points: &mut Vec<TrackPoint>) -> Option<(TrackPoint, usize)> {
     let key = |(point, index): (&TrackPoint, u32)| {
         u128::from(point.vehicle) << 96 | u128::from(sortable(point.time_ms)) << 32 | u128::from(index)
