@@ -133,6 +133,13 @@ impl Recorder<'_> {
             if one.dt_fragile { " It disappears at a tenth of the step: kept as it was found." } else { " Shrunk." };
         let class =
             one.analysis.avoidability.describe().map_or(String::new(), |words| format!(" {}.", capitalise(&words)));
+        let changed = self.changed_parameters(&one.values);
+        let outside: Vec<_> =
+            changed.iter().filter(|one| one.outside_observed.is_some()).map(ToString::to_string).collect();
+        let outside = match outside[..] {
+            [] => String::new(),
+            _ => format!(" Values beyond the recordings: {}.", outside.join(", ")),
+        };
         let name = format!("{}-{}-{place:02}", self.config.space.name(), terms.seed);
         let named_file = |path: String, scenario: &Scenario, name, about| {
             let named = scenario.edited(|spec| (spec.name, spec.about) = (name, about))?;
@@ -162,7 +169,13 @@ impl Recorder<'_> {
                 Ok::<(), CampaignError>(())
             };
         let (verdict, as_found) = (&one.verdict, &one.original_verdict);
-        write(&file, (&one.scenario, verdict), name.clone(), found.clone() + how + &class, &one.analysis.avoidability)?;
+        write(
+            &file,
+            (&one.scenario, verdict),
+            name.clone(),
+            found.clone() + how + &class + &outside,
+            &one.analysis.avoidability,
+        )?;
         let original_name = format!("{name}-original");
         write(&original, (&one.original, as_found), original_name, found, &Avoidability::NotAsked)?;
         let escape_file =
@@ -195,7 +208,7 @@ impl Recorder<'_> {
             escape_survives_multi_body: one.analysis.escape_survives,
             found_by: one.method.name().to_owned(),
             found_at: one.number,
-            changed: self.changed_parameters(&one.values),
+            changed,
         })
     }
 
