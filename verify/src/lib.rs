@@ -49,7 +49,8 @@
 //!             "follower": null
 //!         },
 //!         "branches": [{
-//!             "first": 0, "last": 10, "front": [[1, 1.0]], "between": [], "rear": [], "speed": [], "unfired": [], "fired": 0.0
+//!             "first": 0, "last": 10, "front": [[1, 1.0]], "between": [], "rear": [], "speed": [], "unfired": [],
+//!             "fired": 0.0
 //!         }]
 //!     }}
 //! }"#;
