@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use crumple_verify::*;
-use serde_json::{Value, json};
+use serde_json::json;
 
 use crate::support::{one_ego_scene, sha256};
 
