@@ -48,7 +48,10 @@
 //!             }],
 //!             "follower": null
 //!         },
-//!         "branches": [{"first": 0, "last": 10, "front": [[1, 1.0]]}]
+//!         "branches": [{
+//!             "first": 0, "last": 10, "front": [[1, 1.0]], "between": [], "rear": [], "speed": [], "unfired": [],
+//!             "fired": 0.0
+//!         }]
 //!     }}
 //! }"#;
 //! let certificate = crumple_verify::Certificate::from_json(text)?;

@@ -89,7 +89,7 @@ impl CountTally {
 impl CountRecord {
     /// True if two controllers are compared.
     #[must_use]
-    pub fn is_comparison(&self) -> bool {
+    pub(super) fn is_comparison(&self) -> bool {
         self.registration.configuration.contains_key("against")
     }
 
@@ -110,7 +110,7 @@ impl CountRecord {
 
     /// Returns a tally without runs.
     #[must_use]
-    pub fn empty_tally(&self) -> CountTally {
+    pub(super) fn empty_tally(&self) -> CountTally {
         CountTally { registration_sha256: self.registration.digest(), ..CountTally::default() }
     }
 
@@ -145,7 +145,7 @@ impl CountRecord {
     /// Builds the certificate of a complete tally. For one controller it states the lowest accepted rate, to nine
     /// digits.
     #[must_use]
-    pub fn certificate(&self, tally: &CountTally) -> Certificate {
+    pub(super) fn certificate(&self, tally: &CountTally) -> Certificate {
         let registration = self.registration.clone();
         let registration_sha256 = registration.digest();
         let statement = if self.is_comparison() {
@@ -177,7 +177,7 @@ impl CountRecord {
 
     /// Returns the accepted upper bound on the rate if so many of all runs fail; 1 if there is none.
     #[must_use]
-    pub fn rate_at_most(&self, failures: u64) -> f64 {
+    pub(super) fn rate_at_most(&self, failures: u64) -> f64 {
         upper_bound(failures, self.registration.runs, self.registration.confidence)
     }
 }
