@@ -220,8 +220,8 @@ fn describe(report: &AvoidReport<'_>) -> String {
         let _ = writeln!(text, "  ∫a² of the escape {effort:.1} m²/s³: {best_for}");
     }
     if let Some(survives) = report.escape_survives_multi_body {
-        let replay = if survives { "no collision" } else { "COLLISION: this escape depends on the point mass" };
-        let _ = writeln!(text, "  with the multi-body plant, the demands of the escape lead to: {replay}");
+        let replay = if survives { "no collision either" } else { "a COLLISION: it depends on the point mass" };
+        let _ = writeln!(text, "  with the multi-body plant, this escape has {replay}");
     }
     if let Some(reason) = reason {
         let _ = writeln!(text, "  {reason}");

@@ -648,3 +648,16 @@ fn listed_suites_are_shown_as_valid_suites() {
         assert_refused(&run_crumple(folder.path(), arguments), message);
     }
 }
+
+/// The baseline brakes for ghosts that are near for long enough, and passes where it reacts to none.
+#[test]
+fn false_activation_is_tested_with_ghosts() {
+    let suite = shipped_suite("fmvss-127");
+    let result = run(&suite, &[find_controller("baseline")], EstimatorKind::Kalman).unwrap();
+    let tested = &result.clauses[1].tests[0].controllers[0];
+    assert!(matches!(tested.verdict, TestVerdict::Braked { max_brake_mps2 } if max_brake_mps2 > 7.0), "{tested:?}");
+    assert_eq!((tested.points, tested.passed_points), (9, 5));
+    let failing: Vec<_> = tested.failed_points.iter().map(|failed| failed.point.as_str()).collect();
+    assert!(failing.contains(&"own speed 80 km/h, closing time 1 s, ghost time 1 s"), "{failing:?}");
+    assert!(!failing.contains(&"own speed 80 km/h, closing time 4 s, ghost time 1 s"), "{failing:?}");
+}

@@ -54,8 +54,12 @@ impl ReplayShare {
     }
 }
 
-/// Replays an escape: each vehicle under test demands its accelerations, one per step of the scenario, from its
-/// actuator with [`CONFIRMING_PLANT`]. Returns true if no vehicle collides; `None` if the scenario cannot be run.
+/// Demand per speed error of a vehicle that follows an escape, in 1/s.
+const SPEED_GAIN_PER_S: f64 = 2.0;
+
+/// Replays an escape with [`CONFIRMING_PLANT`]: each vehicle under test demands the accelerations, one per step of the
+/// scenario, from its actuator, and corrects errors of its speed. Returns true if no vehicle collides; `None` if the
+/// scenario cannot be run.
 #[must_use]
 pub fn escape_survives(scenario: &Scenario, acceleration_mps2: &[Vec<f64>]) -> Option<bool> {
     let first = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index))?;
@@ -72,7 +76,7 @@ pub fn escape_survives(scenario: &Scenario, acceleration_mps2: &[Vec<f64>]) -> O
     Some(simulate(&run, RecordingLevel::Summary).outcome == Outcome::NoCollision)
 }
 
-/// Source of controllers that demand prescribed accelerations, one per step.
+/// Source of controllers that follow prescribed accelerations, one per step.
 struct DemandPlayback {
     /// Index of the vehicle with the first sequence.
     first: usize,
@@ -86,14 +90,23 @@ impl ControllerSource for DemandPlayback {
 
     fn start(&self, ego: &Ego, _seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
         let own = ego.vehicle.checked_sub(self.first).and_then(|place| self.demand_mps2.get(place));
-        Ok(Box::new(DemandSequence(own.cloned().unwrap_or_default().into_iter())))
+        let demand_mps2 = own.cloned().unwrap_or_default().into_iter();
+        Ok(Box::new(DemandSequence { demand_mps2, speed_mps: None, step_s: ego.step_s }))
     }
 }
 
-struct DemandSequence(std::vec::IntoIter<f64>);
+struct DemandSequence {
+    demand_mps2: std::vec::IntoIter<f64>,
+    /// Speed of the escape; `None` before the first step.
+    speed_mps: Option<f64>,
+    step_s: f64,
+}
 
 impl Controller for DemandSequence {
-    fn decide(&mut self, _seen: &Observation) -> Result<f64, ControllerFailure> {
-        Ok(self.0.next().unwrap_or(0.0))
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+        let demand_mps2 = self.demand_mps2.next().unwrap_or(0.0);
+        let speed_mps = self.speed_mps.unwrap_or(seen.speed_mps);
+        self.speed_mps = Some((speed_mps + demand_mps2 * self.step_s).max(0.0));
+        Ok(demand_mps2 + SPEED_GAIN_PER_S * (speed_mps - seen.speed_mps))
     }
 }
