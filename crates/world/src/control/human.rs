@@ -161,7 +161,7 @@ impl Human {
             let first_s = ahead.map(|ahead| (ahead.gap_m - usual.standstill_gap_m) / speed_mps);
             let time_headway_s = first_s.filter(|first_s| first_s.is_finite()).unwrap_or(longest_s);
             Idm::from(&IdmSettings {
-                time_headway_s: time_headway_s.clamp(MIN_TIME_GAP_S, longest_s),
+                time_headway_s: time_headway_s.min(longest_s).max(MIN_TIME_GAP_S),
                 desired_speed_mps: usual.desired_speed_mps.max(speed_mps),
                 ..usual
             })

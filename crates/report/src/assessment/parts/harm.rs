@@ -88,7 +88,7 @@ struct HarmRun {
     follower: String,
     speed_mps: f64,
     /// Initial gaps ahead and behind, divided by the initial speed.
-    time_gaps_s: [f64; 2],
+    time_gaps_s: [Option<f64>; 2],
     friction: f64,
     activates: bool,
     /// Impact speed with the leader, and of the follower, in m/s.
@@ -103,7 +103,7 @@ impl HarmRun {
         let speed_mps = vehicles.get(ego).map_or(f64::NAN, |vehicle| vehicle.speed_mps);
         let gap_s = |front: Option<usize>| {
             let (front, rear) = (vehicles.get(front?)?, vehicles.get(front? + 1)?);
-            Some((front.position_m - front.length_m() - rear.position_m) / speed_mps)
+            Some((front.position_m - front.length_m() - rear.position_m) / speed_mps).filter(|gap_s| gap_s.is_finite())
         };
         let hardest = |wanted: &dyn Fn(usize) -> bool| {
             let found = simulated.impacts.iter().filter(|impact| wanted(impact.contact.rear_vehicle));
@@ -113,7 +113,7 @@ impl HarmRun {
         Self {
             follower: follower.map_or("none".to_owned(), |one| format!("{} {}", one.driver.name(), one.class.name())),
             speed_mps,
-            time_gaps_s: [ego.checked_sub(1), Some(ego)].map(|front| gap_s(front).unwrap_or(f64::INFINITY)),
+            time_gaps_s: [ego.checked_sub(1), Some(ego)].map(gap_s),
             friction: scenario.spec().environment.friction,
             activates: simulated.vehicles.get(ego).is_some_and(|one| one.max_brake_mps2 > ACTIVATION_MPS2),
             impacts_mps: [hardest(&|rear| rear == ego), hardest(&|rear| rear == ego + 1)],
@@ -226,7 +226,7 @@ fn write_csv(out: &mut String, space: &str, controller: &str, runs: &[HarmRun], 
             Some(Some(true)) => "yes",
             Some(Some(false)) => "no",
         };
-        let [ahead_s, behind_s] = run.time_gaps_s;
+        let [ahead_s, behind_s] = run.time_gaps_s.map(number);
         // A controller's name may have commas.
         let _ = writeln!(
             out,
