@@ -41,6 +41,8 @@ configures more:
   # recordings whose braking episodes become scenarios (see import)
   recordings = [\"platoon.csv\"]
   search = { spaces = [\"paper\", \"high-risk\"], budget = 400 }
+  # collisions ahead and behind, and harm, by kind of follower, and runs.csv
+  harm = { emergencies_per_hour = 0.1, avoid_draws = 100 }
   # suites of tests, at most 20 (see suite list)
   suites = [{ suite = \"fmvss-127\", controllers = [\"policy\"] }]
   rates = { runs = 4000, confidence = 0.999 }

@@ -68,7 +68,8 @@ pub(super) struct Falsify {
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
-    /// Failures to prefer after the first one is found: severest, likeliest or nearest (to nominal)
+    /// Failures to prefer after the first one is found: severest, likeliest, nearest (to nominal) or harm
+    /// (expected number of seriously injured drivers)
     #[arg(long, value_name = "A", default_value = "severest")]
     aim: SearchObjective,
     /// Evaluations of the method, and of each reference search: 1 to 1 000 000 000

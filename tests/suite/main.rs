@@ -25,6 +25,7 @@ mod fmus;
 mod forgery;
 mod formulas;
 mod generate;
+mod harm;
 mod hostile_names;
 mod lanes;
 mod measures;

@@ -35,8 +35,7 @@ fn any_campaign() -> impl Strategy<Value = Campaign> {
     });
     let controller = select(vec!["baseline", "match-leader", "constant-brake", "idm", "acc-aeb"]);
     let estimator = prop_oneof![Just(EstimatorKind::Truth), Just(EstimatorKind::Kalman)];
-    let aim =
-        prop_oneof![Just(SearchObjective::Severest), Just(SearchObjective::Likeliest), Just(SearchObjective::Nearest)];
+    let aim = select(SearchObjective::ALL.to_vec());
     let method = select(Method::ALL.to_vec());
     (space, controller, estimator, aim, method, 1..SUFFICIENT_BUDGET, 0..u64::MAX >> 1).prop_map(
         |(space, controller, estimator, aim, method, budget, seed)| Campaign {

@@ -69,6 +69,8 @@ pub struct EvaluatedPoint {
     pub ln_likelihood: f64,
     /// Distance from the nominal scenario in the unit cube, from 0 to 1: mean distance over the parameters.
     pub distance_from_nominal: f64,
+    /// Harm of the first collision; 0 unless the objective is [`SearchObjective::Harm`].
+    pub harm: f64,
     /// Verdict of the simulation.
     pub verdict: RunVerdict,
 }
