@@ -252,7 +252,7 @@ mod tests {
             let mut driver = Human::start(&distracted, &EGO, seed);
             let waits = |_: &usize| command_behind(&mut driver, 25.0, 20.0, 25.0, 0.0) >= -COASTING_MPS2;
             (0..200).take_while(waits).for_each(drop);
-            let brakes = |_: &usize| command_behind(&mut driver, 25.0, 20.0, 20.0, -4.0) < -COASTING_MPS2;
+            let mut brakes = |_: &usize| command_behind(&mut driver, 25.0, 20.0, 20.0, -4.0) < -COASTING_MPS2;
             (0..1000).take_while(|step| !brakes(step)).count() as f64
         });
         // Eyes are off for a share of 0.5 · 0.91 / (1 + 0.5 · 0.91) = 31 %, for half a second more on average.
