@@ -45,6 +45,35 @@ pub fn normals_per_second() -> f64 {
     COUNT as f64 / seconds
 }
 
+fn bytes_per_second(bytes: usize) -> f64 {
+    struct Sum<'a>(&'a [f32], usize);
+    impl WithSimd for Sum<'_> {
+        type Output = f32;
+
+        #[inline(always)]
+        fn with_simd<S: Simd>(self, simd: S) -> f32 {
+            let mut sums = [simd.splat_f32s(0.0); 8];
+            for _ in 0..self.1 {
+                let (vectors, _) = S::as_simd_f32s(black_box(self.0));
+                for eight in vectors.chunks_exact(8) {
+                    for (sum, &vector) in sums.iter_mut().zip(eight) {
+                        *sum = simd.add_f32s(*sum, vector);
+                    }
+                }
+            }
+            sums.iter().map(|&sum| simd.reduce_sum_f32s(sum)).sum()
+        }
+    }
+    // Align to a cache line: a vector across two lines costs two reads.
+    let array = vec![1.0_f32; bytes / 4 + 16];
+    let begin = array.as_ptr().align_offset(64).min(16);
+    let array = &array[begin..begin + bytes / 4];
+    // Read 32 MiB in total, so that the clock's overhead is negligible.
+    let passes = (1_usize << 25).div_ceil(bytes);
+    let [seconds] = min_cpu_time_s(20, [&mut || _ = black_box(Arch::new().dispatch(Sum(array, passes)))]);
+    (passes * bytes) as f64 / seconds
+}
+
 pub fn processor_model() -> String {
     let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let of = |field: &str| {
@@ -63,4 +92,11 @@ pub fn measure(say: &mut dyn FnMut(String)) {
     let operations = register_operations_per_second() / 1e9;
     limit("fused multiply-adds in registers, single precision", operations, "billion operations a second");
     limit("normal numbers from one stream", 1e9 / normals_per_second(), "ns each");
+    for (name, bytes) in [
+        ("read from the first-level cache (16 KiB)", 1 << 14),
+        ("read from the second-level cache (256 KiB)", 1 << 18),
+        ("read from main memory (256 MiB)", 1 << 28),
+    ] {
+        limit(name, bytes_per_second(bytes) / 1e9, "GB/s");
+    }
 }

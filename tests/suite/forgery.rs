@@ -5,7 +5,8 @@ mod changes;
 
 use crumple_core::observer::Quiet;
 use crumple_evidence::{
-    BlockSelection, BoxSpec, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, check_binding, shipped_kernels,
+    BlockSelection, BoxSpec, RateConfig, RatePlan, ReachPlan, Rerun, RerunError, check_binding, check_covers_scenario,
+    shipped_kernels,
 };
 use crumple_search::worst_case::{AvoidOptions, AvoidanceVerdict, avoid, certify};
 use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with};
@@ -29,7 +30,7 @@ enum Verdict {
     Refused,
     /// Accepted, and the original implies the claim.
     Implied,
-    /// Accepted with a complete proof, about another subject than the original.
+    /// Accepted with a complete proof, about another subject than the original, or of version 1 without a subject.
     OtherSubject,
     /// Accepted, with a claim about the original's subject that the original does not show.
     Forgery,
@@ -51,14 +52,22 @@ fn forgery_verdict(genuine: &GenuineCertificate, shown: &ProvedClaim, forged: &F
     if is_implied(&genuine.certificate, shown, &certificate) {
         return Verdict::Implied;
     }
-    if is_of_same_subject(&genuine.certificate, &certificate) { Verdict::Forgery } else { Verdict::OtherSubject }
+    // A certificate of version 1 is about explicit numbers, all of which the checker verifies; only omissions could
+    // mislead.
+    let is_of_it = if certificate.is_first_version() {
+        let is_about = |scenario: &Scenario| check_covers_scenario(&certificate, scenario, policy).is_ok();
+        !has_all_assumptions(&genuine.certificate, &certificate) && genuine.scenario.as_ref().is_some_and(is_about)
+    } else {
+        is_of_same_subject(&genuine.certificate, &certificate)
+    };
+    if is_of_it { Verdict::Forgery } else { Verdict::OtherSubject }
 }
 
 fn has_all_assumptions(original: &Certificate, claimed: &Certificate) -> bool {
     original.assumptions.iter().all(|assumption| claimed.assumptions.contains(assumption))
 }
 
-/// Returns true if two certificates have the same subject: the same texts, and the same policy.
+/// Returns true if two certificates of version 2 have the same subject: the same texts, and the same policy.
 fn is_of_same_subject(one: &Certificate, other: &Certificate) -> bool {
     let policy = |certificate: &Certificate| certificate.policy_reference().map(|(_, digest)| digest.to_owned());
     one.provenance.scenario_text == other.provenance.scenario_text
@@ -68,8 +77,10 @@ fn is_of_same_subject(one: &Certificate, other: &Certificate) -> bool {
 
 /// Returns true if a claim follows from a certificate and from what the checker shows for it.
 fn is_implied(original: &Certificate, shown: &ProvedClaim, claimed: &Certificate) -> bool {
+    // Version 1 names no subject.
+    let is_of_it = claimed.is_first_version() || is_of_same_subject(original, claimed);
     has_all_assumptions(original, claimed)
-        && is_of_same_subject(original, claimed)
+        && is_of_it
         && match (&original.statement, &claimed.statement, shown) {
             (
                 Statement::Avoidable(one),
@@ -125,13 +136,13 @@ fn avoidability_certificate(scenario: &Scenario) -> GenuineCertificate {
         AvoidanceVerdict::Unavoidable(certificate) => *certificate,
         AvoidanceVerdict::Undecided(reason) => panic!("{reason}"),
     };
-    GenuineCertificate { certificate, policy: None }
+    GenuineCertificate { certificate, policy: None, scenario: Some(scenario.clone()) }
 }
 
 fn gap_bound_certificate(scenario: &Scenario) -> GenuineCertificate {
     let options = AvoidOptions { certify_bound: true, ..AvoidOptions::default() };
     let certificate = avoid(scenario, options).expect("options fit").bound_certificate.expect("a bound");
-    GenuineCertificate { certificate: *certificate, policy: None }
+    GenuineCertificate { certificate: *certificate, policy: None, scenario: Some(scenario.clone()) }
 }
 
 fn rate_certificate(controller: &str, against: Option<&str>, runs: u64) -> GenuineCertificate {
@@ -147,7 +158,7 @@ fn rate_certificate(controller: &str, against: Option<&str>, runs: u64) -> Genui
     while tally.runs < runs {
         plan.count_batch(&mut tally).expect("runs");
     }
-    GenuineCertificate { certificate: plan.certificate(&tally), policy: None }
+    GenuineCertificate { certificate: plan.certificate(&tally), policy: None, scenario: None }
 }
 
 fn reach_certificate(controller: impl Into<ControllerKind>, of_leader: &str) -> GenuineCertificate {
@@ -157,7 +168,11 @@ fn reach_certificate(controller: impl Into<ControllerKind>, of_leader: &str) -> 
     let spec = BoxSpec::from_toml(&text, Path::new("box")).expect("a box");
     let plan = ReachPlan::new(controller, &spec).expect("a plan");
     let certificate = plan.partition(1, &Quiet).expect("cut").certificate;
-    GenuineCertificate { certificate, policy: Some(plan.policy_bytes().to_vec()) }
+    GenuineCertificate {
+        certificate,
+        policy: Some(plan.policy_bytes().to_vec()),
+        scenario: built_in_scenario("paper-2"),
+    }
 }
 
 /// Returns at least one certificate of every kind, two of most.
@@ -182,7 +197,7 @@ fn genuine_certificates() -> Vec<GenuineCertificate> {
     all.extend(
         ["idm", "acc-aeb"].map(|law| reach_certificate(Policy::reference(), &format!("follower_drives = \"{law}\"\n"))),
     );
-    let kernel = |(_, certificate)| GenuineCertificate { certificate, policy: None };
+    let kernel = |(_, certificate)| GenuineCertificate { certificate, policy: None, scenario: None };
     all.extend(shipped_kernels().into_iter().take(2).map(kernel));
     all
 }

@@ -19,7 +19,7 @@ fn copy_folder(from: &Path, to: &Path) {
 }
 
 /// Each command with its exit code, and a part of its output or error.
-const COMMANDS: [(&str, i32, &str); 14] = [
+const COMMANDS: [(&str, i32, &str); 16] = [
     ("simulate scenarios/escape.toml --expect safe", 0, "no collision"),
     ("simulate scenarios/episode.toml --controller idm", 0, "openacc"),
     (
@@ -30,11 +30,9 @@ const COMMANDS: [(&str, i32, &str); 14] = [
     ),
     ("simulate paper-1 --controller train/seed-1/policy.safetensors --expect safe", 0, "seed-1"),
     ("verify rate --controller idm --space space.toml --runs 20 --confidence 0.9 --out counted", 0, "accepted"),
-    (
-        "check certificates/kernel.json",
-        2,
-        "version 1 in field `version`, and only version 2 is known: repeat the command",
-    ),
+    ("check certificates/kernel.json certificates/avoid.json", 0, "version 1"),
+    ("check certificates/rate.json certificates/policy-against-baseline.json", 0, "version 1, an old one"),
+    ("check certificates/reach-paper-1.json --policy POLICY", 0, "version 1 does not bind the statement to a text"),
     ("falsify --controller match-leader --out campaign --resume", 2, "to version 0.1.0"),
     ("verify rate --controller match-leader --runs 200 --out rate --resume", 2, "to version 0.1.0"),
     ("retrain --out retrain --resume", 2, "to version 0.1.0"),
@@ -48,10 +46,11 @@ const COMMANDS: [(&str, i32, &str); 14] = [
 #[test]
 fn files_of_0_1_0_are_read_or_refused() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let policy = root.join("corpora/scenarios/policies/reference-94021f6edd21.safetensors");
     let folder = temp_folder();
     copy_folder(&root.join("corpora/versions/0.1.0"), folder.path());
     for (line, code, expected) in COMMANDS {
-        let output = run_crumple(folder.path(), line);
+        let output = run_crumple(folder.path(), &line.replace("POLICY", &format!("'{}'", policy.display())));
         let printed = format!("{}{}", stdout(&output), stderr(&output));
         assert_eq!(exit_code(&output), code, "{line}: {printed}");
         assert!(printed.contains(expected), "{line}: {printed}");

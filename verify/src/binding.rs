@@ -1,4 +1,4 @@
-//! Binding of a statement to its subject.
+//! Binding of a version 2 statement to its subject.
 //!
 //! The certificate holds the texts of scenario, box and space, and their hash is checked here. `crumple check` compares
 //! the numbers of the statement with the texts. A rate states its space and program twice; both must agree. Fields that
@@ -25,7 +25,7 @@ const REQUIRED_ENTRIES: [&str; 9] = [
 const COMPARISON_ENTRIES: [&str; 2] = ["against", "against_sha256"];
 const POLICY_ENTRIES: [&str; 2] = ["controller_policy_sha256", "against_policy_sha256"];
 
-/// Checks that a statement belongs to its subject, and the order of the assumptions.
+/// Checks all that version 2 adds.
 pub(crate) fn check(certificate: &Certificate) -> Result<(), Rejection> {
     let provenance = &certificate.provenance;
     let mut order = certificate.statement.assumptions();

@@ -13,8 +13,10 @@ use crate::kernel::KernelClaim;
 use crate::rate::{ComparisonClaim, RateClaim};
 use crate::reach::ReachClaim;
 
-/// The version of the format.
+/// The version of the format that is written.
 pub const VERSION: u32 = 2;
+/// The first version, which is still read. It binds a statement to nothing: see [`Certificate::is_first_version`].
+pub const FIRST_VERSION: u32 = 1;
 
 /// Caveat of an accepted rate or comparison whose runs were not repeated.
 pub const UNVERIFIED_COUNTS_CAVEAT: &str =
@@ -27,7 +29,7 @@ pub const MAX_BYTES: usize = 64 << 20;
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Certificate {
-    /// Version of the format: 2.
+    /// Version of the format: 2, or 1 for old files.
     pub version: u32,
     /// Subject of the statement, and the program that wrote it.
     pub provenance: CertificateProvenance,
@@ -39,8 +41,9 @@ pub struct Certificate {
 
 /// The subject of a statement: a scenario, a box around one, or a scenario space.
 ///
-/// The text of the subject is part of the certificate, and its hash is checked. `crumple check` compares the text with
-/// the numbers of the statement. A kernel concerns no single scenario, so these fields are absent.
+/// In version 2 its text is part of the certificate and its hash is checked. `crumple check` compares the text with the
+/// numbers of the statement. A kernel concerns no single scenario, so these fields are absent. From these fields of a
+/// certificate of version 1, nothing is concluded.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CertificateProvenance {
@@ -52,10 +55,10 @@ pub struct CertificateProvenance {
     /// SHA-256 of `scenario_text`, in hexadecimal.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub scenario_sha256: String,
-    /// The scenario or scenario space as a file, in TOML.
+    /// The scenario or scenario space as a file, in TOML. Since version 2.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub scenario_text: Option<String>,
-    /// Ranges around the scenario as a file, in TOML, if the statement is about a box.
+    /// Ranges around the scenario as a file, in TOML, if the statement is about a box. Since version 2.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub box_text: Option<String>,
 }
@@ -283,10 +286,7 @@ pub enum CertificateParseError {
     #[error("is not a certificate: {0}")]
     Json(#[from] serde_json::Error),
     /// The version is unknown.
-    #[error(
-        "has version {0} in field `version`, and only version {VERSION} is known: repeat the command that wrote the \
-         file"
-    )]
+    #[error("has version {0} in field `version`, and only versions {FIRST_VERSION} and {VERSION} are known")]
     UnknownVersion(u32),
     /// The text is not canonical: fields in another order, numbers with superfluous digits, explicit defaults.
     #[error("is not in canonical form from line {line} column {column} on: only whitespace between tokens may differ")]
@@ -336,6 +336,8 @@ impl Certificate {
         }
         let certificate: Self = serde_json::from_str(text)?;
         match certificate.version {
+            // Readers of version 1 accepted any form, and handwritten files of it exist.
+            FIRST_VERSION => Ok(certificate),
             VERSION => match canonical::first_difference(text, &certificate.to_canonical_json()) {
                 None => Ok(certificate),
                 Some((line, column)) => Err(CertificateParseError::NotCanonical { line, column }),
@@ -364,6 +366,13 @@ impl Certificate {
             Statement::Rate(_) | Statement::Comparison(_) => Some(UNVERIFIED_COUNTS_CAVEAT),
             _ => None,
         }
+    }
+
+    /// True for version 1, which binds the statement to no scenario, box, space or counted runs. Its mathematics is
+    /// checked.
+    #[must_use]
+    pub fn is_first_version(&self) -> bool {
+        self.version == FIRST_VERSION
     }
 
     /// Reads a certificate from a file or any other source.

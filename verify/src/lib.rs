@@ -32,26 +32,17 @@
 //!
 //! ```
 //! let text = r#"{
-//!     "version": 2,
-//!     "provenance": {
-//!         "crumple": "0.3.0", "scenario": "by hand",
-//!         "scenario_sha256": "e936f7ad73038b3238faf4e707b8209c7109da79162b989db8f70c6c759ce4c8",
-//!         "scenario_text": "name = \"by hand\""
-//!     },
+//!     "version": 1,
+//!     "provenance": {"crumple": "0.1.0", "scenario": "by hand", "scenario_sha256": ""},
 //!     "assumptions": ["exact-motion", "scripted-leader", "ego-within-limits"],
 //!     "statement": {"unavoidable": {
 //!         "scene": {
 //!             "step_s": 0.1, "steps": 10,
-//!             "leader": {"position_m": 3.0, "length_m": 2.0, "speed_mps": 0.0, "acceleration_mps2": [[10, 0.0]]},
-//!             "egos": [{
-//!                 "position_m": 0.0, "length_m": 2.0, "speed_mps": 20.0, "max_brake_mps2": 8.0, "max_accel_mps2": 3.0
-//!             }],
+//!             "leader": {"position_m": 3, "length_m": 2, "speed_mps": 0, "acceleration_mps2": [[10, 0]]},
+//!             "egos": [{"position_m": 0, "length_m": 2, "speed_mps": 20, "max_brake_mps2": 8, "max_accel_mps2": 3}],
 //!             "follower": null
 //!         },
-//!         "branches": [{
-//!             "first": 0, "last": 10, "front": [[1, 1.0]], "between": [], "rear": [], "speed": [], "unfired": [],
-//!             "fired": 0.0
-//!         }]
+//!         "branches": [{"first": 0, "last": 10, "front": [[1, 1]]}]
 //!     }}
 //! }"#;
 //! let certificate = crumple_verify::Certificate::from_json(text)?;
@@ -360,39 +351,20 @@ pub fn check_with(
     policy: Option<&[u8]>,
     limit: WorkLimit,
 ) -> Result<ProvedClaim, Rejection> {
-    check_assumptions(certificate)?;
-    binding::check(certificate)?;
-    check_statement(&certificate.statement, policy, limit)
-}
-
-/// Checks assumptions and proof of a certificate, but not that it belongs to its scenario, box or space. For tests of
-/// proofs.
-#[doc(hidden)]
-pub fn check_without_binding(
-    certificate: &Certificate,
-    policy: Option<&[u8]>,
-    limit: WorkLimit,
-) -> Result<ProvedClaim, Rejection> {
-    check_assumptions(certificate)?;
-    check_statement(&certificate.statement, policy, limit)
-}
-
-fn check_assumptions(certificate: &Certificate) -> Result<(), Rejection> {
-    match certificate.has_required_assumptions() {
-        true => Ok(()),
-        false => Err(Rejection::Assumptions { needed: certificate.statement.assumptions() }),
+    if !certificate.has_required_assumptions() {
+        return Err(Rejection::Assumptions { needed: certificate.statement.assumptions() });
     }
-}
-
-fn check_statement(statement: &Statement, policy: Option<&[u8]>, limit: WorkLimit) -> Result<ProvedClaim, Rejection> {
+    if !certificate.is_first_version() {
+        binding::check(certificate)?;
+    }
     let work = &OpBudget::new(limit);
-    match statement {
+    match &certificate.statement {
         Statement::Avoidable(claim) => avoidable::check(claim, work),
         Statement::Unavoidable(claim) => unavoidable::check(claim, work),
         Statement::GapBound(claim) => unavoidable::check_gap_bound(claim, work),
         Statement::Kernel(claim) => kernel::check(claim, work),
         Statement::Rate(claim) => rate::check_rate(claim, work),
         Statement::Comparison(claim) => rate::check_comparison(claim, work),
-        Statement::Reach(claim) => reach::check(claim, policy, work),
+        Statement::Reach(claim) => reach::check(claim, policy, certificate.is_first_version(), work),
     }
 }

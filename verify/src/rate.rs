@@ -49,7 +49,7 @@ pub struct Registration {
     pub runs: u64,
     /// γ, above 1/2, read as the nearest floating-point number.
     pub confidence: f64,
-    /// Runs per hashed block; the last block may be shorter.
+    /// Runs per hashed block; the last block may be shorter. Since version 2.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub block_runs: Option<u64>,
 }
@@ -78,7 +78,7 @@ pub struct RateClaim {
     pub failures: u64,
     /// p₀, read as the nearest floating-point number.
     pub rate_at_most: f64,
-    /// Failures and hash of each block of runs, in order.
+    /// Failures and hash of each block of runs, in order. Since version 2.
     #[serde(
         default,
         skip_serializing_if = "Vec::is_empty",
@@ -99,7 +99,7 @@ pub struct ComparisonClaim {
     pub only_first_failed: u64,
     /// d - k, the runs in which the second fails and the first does not.
     pub only_second_failed: u64,
-    /// For each block in order: runs that only the first and only the second failed, and its hash.
+    /// For each block in order: runs that only the first and only the second failed, and its hash. Since version 2.
     #[serde(
         default,
         skip_serializing_if = "Vec::is_empty",

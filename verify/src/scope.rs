@@ -67,6 +67,9 @@ impl Certificate {
         let (name, sha256) = (&self.provenance.scenario, &self.provenance.scenario_sha256);
         // The author of the file chose the name: it must not control a terminal.
         let name = name.escape_debug();
+        if self.is_first_version() {
+            return format!("`{name}`, as the file states; version 1 does not bind the statement to a text");
+        }
         match &self.statement {
             Statement::Kernel(_) => "any two vehicles with these limits".to_owned(),
             Statement::Rate(_) | Statement::Comparison(_) => format!("space `{name}`, SHA-256 {sha256}"),

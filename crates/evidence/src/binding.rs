@@ -16,7 +16,7 @@ use crumple_search::worst_case::covers_scenario;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::file::FileError;
 use crumple_world::scenario::space::{self, ScenarioSpace};
-use crumple_world::scenario::{Scenario, file};
+use crumple_world::scenario::{Scenario, built_in_scenario, built_in_scenario_names, file};
 use crumple_world::sim::NamedController;
 
 /// Reason why a statement does not match its texts.
@@ -88,11 +88,22 @@ pub enum ScenarioMismatch {
     },
 }
 
-/// Checks that the numbers of a statement match its texts. A statement about a policy needs the policy's file.
+/// Checks that the numbers of a statement match its texts. A statement about a policy needs the policy's file. A
+/// certificate of version 1 has no texts; only the hash of a built-in scenario is compared.
 ///
 /// # Errors
 /// [`BindingError`] names the difference.
 pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result<(), BindingError> {
+    if certificate.is_first_version() {
+        let carried = &certificate.provenance.scenario_sha256;
+        let hash = |scenario: &Scenario| file::to_toml(scenario).map(sha256).unwrap_or_default();
+        let claimed = built_in_scenario_names()
+            .iter()
+            .filter_map(|(name, _)| built_in_scenario(name))
+            .find(|one| hash(one) == *carried);
+        let is_of_it = |scenario: &Scenario| check_covers_scenario(certificate, scenario, policy).is_ok();
+        return if claimed.as_ref().is_none_or(is_of_it) { Ok(()) } else { Err(scene_mismatch()) };
+    }
     match &certificate.statement {
         Statement::Kernel(_) => Ok(()),
         Statement::Reach(claim) => check_box(certificate, claim, policy),

@@ -143,7 +143,7 @@ impl CertificateReport<'_> {
     /// text.
     fn is_built_in(&self) -> Option<bool> {
         let provenance = &self.certificate.provenance;
-        let text = provenance.scenario_text.as_ref()?;
+        let text = provenance.scenario_text.as_ref().filter(|_| !self.certificate.is_first_version())?;
         let built_in = match &self.certificate.statement {
             Statement::Rate(_) | Statement::Comparison(_) => {
                 space_file::to_toml(&built_in_space(&provenance.scenario)?)
@@ -203,8 +203,10 @@ impl CertificateReport<'_> {
         for assumption in &certificate.assumptions {
             text += &format!("  assuming that {assumption}\n");
         }
+        let old =
+            if certificate.is_first_version() { ", an old one: see docs/certificates.md for its limits" } else { "" };
         text + &format!(
-            "  version {}; SHA-256 of its content, without spaces and line breaks: {}\n",
+            "  version {}{old}; SHA-256 of its content, without spaces and line breaks: {}\n",
             certificate.version,
             certificate.digest()
         )

@@ -37,7 +37,7 @@ pub use rate_folder::{RateCount, RateFolderError};
 pub use reach::{
     BoxSpec, InvalidBox, MAX_BOXES, Partition, RangesSpec, ReachPlan, UndecidedCounts, VolumeShares, checker_file,
 };
-pub use record::CountTally;
+pub use record::{CountRecord, CountTally};
 pub use rerun::{BlockSelection, Confirmation, Rerun, RerunError};
 
 use crumple_verify::{Certificate, Statement};

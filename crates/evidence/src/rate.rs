@@ -230,7 +230,9 @@ impl RatePlan {
         &self.record.registration
     }
 
-    pub(super) fn record(&self) -> &CountRecord {
+    /// Returns the registration and the text of the space.
+    #[must_use]
+    pub fn record(&self) -> &CountRecord {
         &self.record
     }
 

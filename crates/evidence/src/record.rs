@@ -13,7 +13,7 @@ use crumple_world::sim::FailedControllerRuns;
 
 /// Registration of a count, and its space as a file.
 #[derive(Debug, Clone, PartialEq)]
-pub(super) struct CountRecord {
+pub struct CountRecord {
     pub(super) registration: Registration,
     pub(super) space_text: String,
 }
@@ -89,7 +89,7 @@ impl CountTally {
 impl CountRecord {
     /// True if two controllers are compared.
     #[must_use]
-    pub(super) fn is_comparison(&self) -> bool {
+    pub fn is_comparison(&self) -> bool {
         self.registration.configuration.contains_key("against")
     }
 
@@ -110,7 +110,7 @@ impl CountRecord {
 
     /// Returns a tally without runs.
     #[must_use]
-    pub(super) fn empty_tally(&self) -> CountTally {
+    pub fn empty_tally(&self) -> CountTally {
         CountTally { registration_sha256: self.registration.digest(), ..CountTally::default() }
     }
 
@@ -145,7 +145,7 @@ impl CountRecord {
     /// Builds the certificate of a complete tally. For one controller it states the lowest accepted rate, to nine
     /// digits.
     #[must_use]
-    pub(super) fn certificate(&self, tally: &CountTally) -> Certificate {
+    pub fn certificate(&self, tally: &CountTally) -> Certificate {
         let registration = self.registration.clone();
         let registration_sha256 = registration.digest();
         let statement = if self.is_comparison() {
@@ -177,7 +177,7 @@ impl CountRecord {
 
     /// Returns the accepted upper bound on the rate if so many of all runs fail; 1 if there is none.
     #[must_use]
-    pub(super) fn rate_at_most(&self, failures: u64) -> f64 {
+    pub fn rate_at_most(&self, failures: u64) -> f64 {
         upper_bound(failures, self.registration.runs, self.registration.confidence)
     }
 }

@@ -43,6 +43,12 @@ pub enum RerunError {
         /// Release that made the counts.
         counting_release: String,
     },
+    /// The certificate is of version 1, without space and hashes.
+    #[error(
+        "a certificate of version 1 contains neither the space nor hashes of the results: repeat the count with this \
+         release"
+    )]
+    NoBlocks,
     /// A controller is not available.
     #[error(
         "`registration.configuration.{place}` names no built-in controller, and no --controller has its identity: \
@@ -136,6 +142,9 @@ impl Rerun {
             Statement::Comparison(claim) => (&claim.registration, claim.blocks.clone()),
             other => return Err(RerunError::NothingCounted(other.name())),
         };
+        if certificate.is_first_version() {
+            return Err(RerunError::NoBlocks);
+        }
         let of = |key: &str| registration.configuration.get(key).map_or("", String::as_str);
         if of("crumple") != env!("CARGO_PKG_VERSION") {
             return Err(RerunError::OtherRelease { counting_release: of("crumple").escape_debug().to_string() });

@@ -74,13 +74,31 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
 fn a_bound_of_0_0002_for_the_baseline_is_the_makers_word_and_refuted_by_a_hundredth_of_its_runs() {
     let folder = temp_folder();
     write_idm_count(folder.path(), "idm", "");
-    let forged = forge_rate(folder.path(), |rate| {
+    let mut forged = forge_rate(folder.path(), |rate| {
         (rate.registration.runs, rate.registration.confidence, rate.rate_at_most) = (69_100, 0.999_999, 0.000_2);
         rate.blocks = (0..691).map(|block| (0, sha256(block.to_string()))).collect();
     });
     write_certificate(folder.path(), "forged.json", &forged);
     assert_prints(&run_crumple(folder.path(), "check forged.json"), 0, &["the counts are not verified"]);
     assert_prints(&run_crumple(folder.path(), "check forged.json --rerun=1"), 1, &["refuted by a new count: "]);
+    // A certificate of version 0.1.0 has no blocks to count again.
+    let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
+    (rate.registration.block_runs, rate.blocks) = (None, Vec::new());
+    rate.registration_sha256 = rate.registration.digest();
+    forged.version = 1;
+    (forged.provenance.scenario_text, forged.provenance.scenario_sha256) = (None, String::new());
+    write_certificate(folder.path(), "old.json", &forged);
+    let message = run_crumple(folder.path(), "check old.json");
+    for words in ["the counts are not verified", "version 1, an old one"] {
+        assert!(exit_code(&message) == 0 && stdout(&message).contains(words), "{words}: {}", stdout(&message));
+    }
+    let message = run_crumple(folder.path(), "check old.json --rerun");
+    assert!(
+        exit_code(&message) == 2 && !stdout(&message).contains("confirmed"),
+        "{} {}",
+        stdout(&message),
+        stderr(&message)
+    );
 }
 
 /// The box of `corpora/boxes/paper-1.toml`, without a follower.
@@ -116,18 +134,30 @@ fn a_short_claim_reads_short_and_states_an_absent_follower() {
     claim.ranges.follower_brake_mps2 = Interval::ZERO;
     (claim.partition, claim.verified_share_at_least) = (vec![PartitionCell::Verified], 1.0);
     reach.assumptions = reach.statement.assumptions();
+    // First bound to a scenario without a follower, then to none.
     let text = file::to_toml(&short(0.1)).unwrap();
     reach.provenance.box_text = Some(AHEAD_ONLY.to_owned());
     (reach.provenance.scenario_sha256, reach.provenance.scenario_text) = (sha256(&text), Some(text));
     write_certificate(folder.path(), "bound.json", &reach);
-    let passages = [
-        "in 100.00 % of the box's volume",
-        " m for 0.1 s, with no vehicle behind",
-        "for 0.1 s from the start and no longer",
-        "behind: no vehicle\n",
-        "it is NOT the built-in scenario or space",
-    ];
-    assert_contains(stdout(&run_ok(folder.path(), "check bound.json")), &passages);
+    reach.version = 1;
+    (reach.provenance.scenario_text, reach.provenance.box_text) = (None, None);
+    reach.provenance.scenario_sha256 = String::new();
+    write_certificate(folder.path(), "old.json", &reach);
+    for (name, about) in [
+        ("bound.json", "it is NOT the built-in scenario or space"),
+        ("old.json", "version 1 does not bind the statement to a text"),
+    ] {
+        let message = run_ok(folder.path(), &format!("check {name}"));
+        for words in [
+            "in 100.00 % of the box's volume",
+            " m for 0.1 s, with no vehicle behind",
+            "for 0.1 s from the start and no longer",
+            "behind: no vehicle\n",
+            about,
+        ] {
+            assert!(stdout(&message).contains(words), "{name}: {words}: {}", stdout(&message));
+        }
+    }
 }
 
 #[test]
@@ -180,16 +210,25 @@ fn a_genuine_statement_cannot_carry_another_scenario() {
     ];
     assert_contains(stdout(&message), &passages);
     let [one, two] = ["paper-1.json", "paper-2.json"].map(|name| read_certificate(folder.path(), name));
-    let swapped = Certificate { provenance: one.provenance, ..two.clone() };
+    let swapped = Certificate { provenance: one.provenance.clone(), ..two.clone() };
     let mut renamed = two.clone();
     renamed.provenance.scenario = "paper-1".to_owned();
+    let mut old = swapped.clone();
+    old.version = 1;
+    (old.provenance.scenario_text, old.provenance.box_text) = (None, None);
     let mut empty = two.clone();
     empty.provenance.scenario_sha256 = String::new();
-    for (name, forged) in [("swapped", swapped), ("renamed", renamed), ("empty", empty)] {
+    for (name, forged) in [("swapped", swapped), ("renamed", renamed), ("old", old), ("empty", empty)] {
         write_certificate(folder.path(), "forged.json", &forged);
         let message = run_crumple(folder.path(), "check forged.json");
         assert_eq!(exit_code(&message), 1, "{name}: {}", stdout(&message));
     }
+    // A genuine certificate of version 1 is accepted, with a note about its age.
+    let mut old = one;
+    old.version = 1;
+    (old.provenance.scenario_text, old.provenance.box_text) = (None, None);
+    write_certificate(folder.path(), "old.json", &old);
+    assert_prints(&run_crumple(folder.path(), "check old.json --scenario paper-1"), 0, &["version 1, an old one"]);
     // The output warns of another scenario under a built-in name.
     let edited = built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].position_m += 1.0).unwrap();
     fs::write(folder.path().join("mine.toml"), file::to_toml(&edited).unwrap()).unwrap();

@@ -3,6 +3,8 @@
 
 use crumple_core::digest::sha256;
 use crumple_verify::Certificate;
+use crumple_verify::certificate::FIRST_VERSION;
+use crumple_world::scenario::Scenario;
 use rand::RngExt;
 use rand::seq::IndexedRandom;
 use rand_xoshiro::Xoshiro256PlusPlus;
@@ -13,6 +15,7 @@ use serde_json::{Value, json};
 pub(super) struct GenuineCertificate {
     pub(super) certificate: Certificate,
     pub(super) policy: Option<Vec<u8>>,
+    pub(super) scenario: Option<Scenario>,
 }
 
 /// A forged certificate, as a file.
@@ -33,8 +36,8 @@ pub(super) fn forge(
     let mut policy = genuine.policy.clone();
     let places = json_pointers(&value);
     let place = places.choose(random).cloned().unwrap_or_default();
-    let mut text = None;
-    let mut change = match random.random_range(0..11_u32) {
+    let (mut text, mut keeps_order) = (None, true);
+    let mut change = match random.random_range(0..12_u32) {
         0..4 => change_number(&mut value, &places, random),
         4 => change_list(&mut value, &places, random),
         5 => {
@@ -66,7 +69,15 @@ pub(super) fn forge(
             format!("{place} of another certificate")
         }
         8 => change_text(&mut value, &places, random),
-        9 => change_policy(&mut value, &mut policy, others, random),
+        9 => {
+            value["version"] = json!(FIRST_VERSION);
+            if let Some(provenance) = value["provenance"].as_object_mut() {
+                provenance.retain(|name, _| !name.ends_with("_text"));
+            }
+            keeps_order = random.random();
+            format!("version 1, and {}", change_number(&mut value, &places, random))
+        }
+        10 => change_policy(&mut value, &mut policy, others, random),
         _ => {
             let added =
                 ["noise-of-seed", "registered-draws", "ego-can-brake", "scripted-leader", "leader-within-limit"]
@@ -92,7 +103,7 @@ pub(super) fn forge(
         change += ", mended";
     }
     // Keep the order of the types, or the checker rejects the order alone.
-    let ordered = serde_json::from_value::<Certificate>(value.clone()).ok();
+    let ordered = serde_json::from_value::<Certificate>(value.clone()).ok().filter(|_| keeps_order);
     let text = text
         .unwrap_or_else(|| ordered.map_or_else(|| value.to_string(), |certificate| certificate.to_canonical_json()));
     ForgedCertificate { change, text, policy }

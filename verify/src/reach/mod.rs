@@ -118,9 +118,9 @@ pub struct ReachClaim {
     /// half.
     #[serde(deserialize_with = "bounded::deserialize_list::<MAX_CELLS, _, _>")]
     pub partition: Vec<PartitionCell>,
-    /// Share of the box's volume in verified cells.
+    /// Share of the box's volume in verified cells. Version 1 assumed that each cut makes exact halves.
     pub verified_share_at_least: f64,
-    /// Share of the box's volume in falsified cells.
+    /// Share of the box's volume in falsified cells, with the same assumption in version 1.
     pub falsified_share_at_least: f64,
     /// Lower bound of the gaps of verified members, in metres.
     pub min_gap_m_at_least: f64,
@@ -299,7 +299,16 @@ impl ReachClaim {
     }
 }
 
-pub(crate) fn check(claim: &ReachClaim, policy: Option<&[u8]>, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
+/// Tolerance by which shares of version 1 may exceed their volume: they assume exact halves, but the middle of a range
+/// is rounded.
+const V1_SHARE_TOLERANCE: f64 = 1e-9;
+
+pub(crate) fn check(
+    claim: &ReachClaim,
+    policy: Option<&[u8]>,
+    is_old: bool,
+    work: &OpBudget,
+) -> Result<ProvedClaim, Rejection> {
     let controller = load_controller(policy, &claim.policy_sha256, claim.source.as_ref())?;
     let scene = claim.problem(&controller)?;
     let leaves = claim.leaves()?;
@@ -312,9 +321,10 @@ pub(crate) fn check(claim: &ReachClaim, policy: Option<&[u8]>, work: &OpBudget) 
         let gap_m = verdict.map_err(|problem| Rejection::Leaf { leaf: index, problem })?;
         smallest_gap_m = smallest_gap_m.min(gap_m);
     }
+    let tolerance = if is_old { V1_SHARE_TOLERANCE } else { 0.0 };
     let stated = [
-        ("verified_share_at_least", claim.verified_share_at_least, verified_share),
-        ("falsified_share_at_least", claim.falsified_share_at_least, falsified_share),
+        ("verified_share_at_least", claim.verified_share_at_least, verified_share + tolerance),
+        ("falsified_share_at_least", claim.falsified_share_at_least, falsified_share + tolerance),
         ("min_gap_m_at_least", claim.min_gap_m_at_least, smallest_gap_m),
     ];
     let is_more = |(_, stated, found): &&(_, f64, f64)| stated.partial_cmp(found).is_none_or(std::cmp::Ordering::is_gt);

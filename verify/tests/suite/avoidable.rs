@@ -1,9 +1,7 @@
 //! Every member of an accepted avoidable claim avoids the collision.
 
 use crate::support;
-use crate::support::{
-    SUBSTEPS, check, expand_to_substeps, follower_at, one_ego_scene, pick_member, scenes, simulate_scene,
-};
+use crate::support::{SUBSTEPS, expand_to_substeps, follower_at, one_ego_scene, pick_member, scenes, simulate_scene};
 use crumple_verify::*;
 use proptest::prelude::*;
 

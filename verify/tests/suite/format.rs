@@ -1,9 +1,9 @@
-//! The file, specified in `docs/certificates.md`: canonical text and binding of a statement.
+//! Version 2 of the file, specified in `docs/certificates.md`: canonical text and binding of a statement.
 
 use std::collections::BTreeMap;
 
 use crumple_verify::*;
-use serde_json::json;
+use serde_json::{Value, json};
 
 use crate::support::{one_ego_scene, sha256};
 
@@ -72,8 +72,12 @@ fn files_are_canonical_with_any_whitespace() {
 #[test]
 fn a_key_of_a_configuration_may_not_occur_twice() {
     let doubled = "\"controller\":\"idm\",\"controller\":\"policy\"";
-    let error = check_replaced(&rate(), "\"controller\":\"idm\"", doubled).unwrap_err();
-    assert!(error.contains("duplicate key \"controller\" at line 1"), "{error}");
+    for version in [1, 2] {
+        let mut certificate = rate();
+        certificate.version = version;
+        let error = check_replaced(&certificate, "\"controller\":\"idm\"", doubled).unwrap_err();
+        assert!(error.contains("duplicate key \"controller\" at line 1"), "{error}");
+    }
 }
 
 #[test]
@@ -174,6 +178,24 @@ fn claim_without_blocks(certificate: &mut Certificate) {
     claim.blocks.clear();
     claim.registration.block_runs = None;
     claim.registration_sha256 = claim.registration.digest();
+}
+
+#[test]
+fn version_1_is_read_and_reported_as_old() {
+    let mut old = unavoidable();
+    old.version = 1;
+    old.provenance = CertificateProvenance {
+        crumple: "0.1.0".to_owned(),
+        scenario: "paper-1".to_owned(),
+        ..CertificateProvenance::default()
+    };
+    let mut file = serde_json::to_value(&old).unwrap();
+    file["provenance"]["scenario_sha256"] = json!("");
+    let read = Certificate::from_json(&file.to_string()).unwrap();
+    assert!(check(&read).is_ok() && read.is_first_version());
+    assert!(read.scope().about.contains("as the file states; version 1 does not bind the statement to a text"));
+    let bound: Value = serde_json::to_value(unavoidable()).unwrap();
+    assert!(bound["provenance"]["scenario_text"].is_string());
 }
 
 #[test]
@@ -377,6 +399,8 @@ fn the_subject_of_a_claim_follows_from_kind_and_texts() {
     assert_eq!(about(&kernel()), "any two vehicles with these limits");
     let space = sha256("name = \"paper\"\n");
     assert!([rate(), comparison()].iter().all(|of| about(of) == format!("space `paper`, SHA-256 {space}")));
+    let old = about(&Certificate { version: 1, ..kernel() });
+    assert_eq!(old, "``, as the file states; version 1 does not bind the statement to a text");
 }
 
 #[test]

@@ -1,10 +1,10 @@
 //! A kernel is accepted exactly if its closed form is right.
 
 use crumple_verify::polynomial::Polynomial;
-use crumple_verify::{Assumption, Certificate, KernelClaim, ProvedClaim, Rejection, Statement};
+use crumple_verify::{Assumption, Certificate, KernelClaim, ProvedClaim, Rejection, Statement, check};
 use num_rational::BigRational;
 
-use crate::support::{certificate, check};
+use crate::support::certificate;
 
 fn check_kernel(kernel: &KernelClaim) -> Result<ProvedClaim, Rejection> {
     let mut certificate = certificate(Statement::Kernel(kernel.clone()));

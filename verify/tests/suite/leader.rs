@@ -3,13 +3,13 @@
 use crumple_verify::reach::{
     BoxDimension, InitialRanges, NeuralController, PartitionCell, ReachClaim, ReachProblem, reach, reach_with_tube,
 };
-use crumple_verify::{Assumption, Certificate, Interval, ProvedClaim, Rejection, WorkLimit};
+use crumple_verify::{Assumption, Certificate, Interval, ProvedClaim, Rejection, WorkLimit, check_with};
 use proptest::prelude::*;
 
 use crate::reach::{LATCHED, any_ranges, any_unit, box_member, claim, is_bounded, paper_box, paper_problem};
 use crate::support::closed_loop::{XorShiftRng, simulate_with_leader};
 use crate::support::networks::{any_network, native_network};
-use crate::support::{check_with, policy_bytes, reach_certificate};
+use crate::support::{policy_bytes, reach_certificate};
 
 /// A share of the braking limit for each step. `Observed` brakes in the step before a decision, or in all others.
 #[derive(Debug, Clone)]

@@ -3,12 +3,12 @@
 use crumple_verify::reach::{
     NetworkFileFormat, NetworkFileSource, NeuralController, PartitionCell, ReachClaim, controller_file_name,
 };
-use crumple_verify::{Assumption, ProvedClaim, Rejection, WorkLimit};
+use crumple_verify::{Assumption, ProvedClaim, Rejection, WorkLimit, check_with};
 use serde_json::{Value, json};
 
 use crate::reach::point_box;
 use crate::support::networks::{any_network_with_file, encode_file};
-use crate::support::{check_with, reach_certificate, sha256};
+use crate::support::{reach_certificate, sha256};
 
 #[test]
 fn written_files_are_read() {

@@ -3,9 +3,9 @@
 use std::collections::BTreeMap;
 
 use crumple_verify::rate::binomial_tail_upper_bound;
-use crumple_verify::{ComparisonClaim, ProvedClaim, RateClaim, Registration, Rejection, Statement};
+use crumple_verify::{ComparisonClaim, ProvedClaim, RateClaim, Registration, Rejection, Statement, check};
 
-use crate::support::{certificate, check};
+use crate::support::certificate;
 
 fn check_statement(statement: Statement) -> Result<ProvedClaim, Rejection> {
     check(&certificate(statement))

@@ -2,8 +2,8 @@
 
 use crate::support;
 use crate::support::{
-    branches, certificate, check, check_with, follower_at, has_escape, one_ego_scene, pick_member, profiles, proofs,
-    row_values, scenes, simulate_scene,
+    branches, certificate, follower_at, has_escape, one_ego_scene, pick_member, profiles, proofs, row_values, scenes,
+    simulate_scene,
 };
 use crumple_verify::unavoidable::check_branch;
 use crumple_verify::*;

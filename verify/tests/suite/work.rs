@@ -8,7 +8,7 @@ use crate::kernel::kernel;
 use crate::law_follower::IDM;
 use crate::rate::{comparison, rate};
 use crate::reach::{claim, paper_box};
-use crate::support::{self, certificate, check, check_with, one_ego_scene, policy_bytes};
+use crate::support::{self, certificate, one_ego_scene, policy_bytes};
 
 fn reach_certificate(cuts: u32, steps: u32) -> Certificate {
     fn cells(cuts: u32) -> Vec<PartitionCell> {

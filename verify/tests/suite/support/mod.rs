@@ -316,20 +316,7 @@ pub fn branches(scene: &Scene) -> impl Strategy<Value = Branch> + use<> {
 pub fn certificate(statement: Statement) -> Certificate {
     let provenance =
         CertificateProvenance { crumple: "0".into(), scenario: "a test".into(), ..CertificateProvenance::default() };
-    Certificate { version: 2, provenance, assumptions: statement.assumptions(), statement }
-}
-
-/// Checks assumptions and proof only: the certificates of these tests belong to no scenario.
-pub fn check(certificate: &Certificate) -> Result<ProvedClaim, Rejection> {
-    check_with(certificate, None, WorkLimit::default())
-}
-
-pub fn check_with(
-    certificate: &Certificate,
-    policy: Option<&[u8]>,
-    limit: WorkLimit,
-) -> Result<ProvedClaim, Rejection> {
-    crumple_verify::check_without_binding(certificate, policy, limit)
+    Certificate { version: 1, provenance, assumptions: statement.assumptions(), statement }
 }
 
 pub fn reach_certificate(claim: reach::ReachClaim) -> Certificate {
