@@ -250,10 +250,9 @@ mod tests {
         let distracted = HumanSettings { glance_per_s: 0.5, ..ALIKE };
         let mean = (0..400).map(|seed| {
             let mut driver = Human::start(&distracted, &EGO, seed);
-            let waits = |_: &usize| command_behind(&mut driver, 25.0, 20.0, 25.0, 0.0) >= -COASTING_MPS2;
-            (0..200).take_while(waits).for_each(drop);
-            let mut brakes = |_: &usize| command_behind(&mut driver, 25.0, 20.0, 20.0, -4.0) < -COASTING_MPS2;
-            (0..1000).take_while(|step| !brakes(step)).count() as f64
+            (0..200).for_each(|_| drop(command_behind(&mut driver, 25.0, 20.0, 25.0, 0.0)));
+            let waits = |_: &usize| command_behind(&mut driver, 25.0, 20.0, 20.0, -4.0) >= -COASTING_MPS2;
+            (0..1000).take_while(waits).count() as f64
         });
         // Eyes are off for a share of 0.5 · 0.91 / (1 + 0.5 · 0.91) = 31 %, for half a second more on average.
         let mean = mean.sum::<f64>() / 400.0;
