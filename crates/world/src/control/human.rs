@@ -250,7 +250,9 @@ mod tests {
         let distracted = HumanSettings { glance_per_s: 0.5, ..ALIKE };
         let mean = (0..400).map(|seed| {
             let mut driver = Human::start(&distracted, &EGO, seed);
-            (0..200).for_each(|_| drop(command_behind(&mut driver, 25.0, 20.0, 25.0, 0.0)));
+            for _ in 0..200 {
+                let _ = command_behind(&mut driver, 25.0, 20.0, 25.0, 0.0);
+            }
             let waits = |_: &usize| command_behind(&mut driver, 25.0, 20.0, 20.0, -4.0) >= -COASTING_MPS2;
             (0..1000).take_while(waits).count() as f64
         });
