@@ -67,7 +67,7 @@ fn a_search_for_harm_finds_a_fast_lorry() {
         (harm_of_pair(one.impact_speed_mps.expect("a collision"), masses_kg), masses_kg[1])
     });
     let (harm, rear_kg) = harms.max_by(|a, b| a.0.total_cmp(&b.0)).expect("a failure");
-    assert!(harm > 0.3 && rear_kg > 5000.0, "{harm} {rear_kg}");
+    assert!(harm > 0.15 && rear_kg > 5000.0, "{harm} {rear_kg}");
 }
 
 fn as_index(vehicle: u32) -> usize {

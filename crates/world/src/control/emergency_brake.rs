@@ -8,7 +8,7 @@ use crate::settings::settings;
 settings! {
     /// Settings of the configurable emergency brake.
     EmergencyBrakeSettings {
-        /// Time to collision below which the brake fires, in seconds; 0 never fires before a collision.
+        /// Time to collision below which the brake fires, in seconds; 0 never fires.
         ttc_s: 1.4, 0.0..=100.0, 0.0..=4.0;
         /// Deceleration of the brake, in m/s², positive; the vehicle's own limit applies, too.
         brake_mps2: 7.5, 0.0..=30.0, 2.0..=9.0;
@@ -45,17 +45,21 @@ impl Controller for EmergencyBrake {
 pub(super) struct HeldBrake {
     aeb: Aeb,
     brake_mps2: f64,
+    never_fires: bool,
     is_braking: bool,
 }
 
 impl HeldBrake {
     pub(super) fn new(ttc_s: f64, brake_mps2: f64, ego: &Ego) -> Self {
-        Self { aeb: Aeb::new(ttc_s, ego), brake_mps2, is_braking: false }
+        Self { aeb: Aeb::new(ttc_s, ego), brake_mps2, never_fires: ttc_s == 0.0, is_braking: false }
     }
 
     /// Returns the demanded braking, in m/s², positive; `None` while the brake is released.
     #[inline]
     pub(super) fn demand_mps2(&mut self, seen: &Observation) -> Option<f64> {
+        if self.never_fires {
+            return None;
+        }
         let is_closing = seen.ahead.is_some_and(|ahead| seen.speed_mps > ahead.speed_mps);
         self.is_braking = self.aeb.demands_braking(seen) || self.is_braking && is_closing;
         self.is_braking.then_some(self.brake_mps2)
