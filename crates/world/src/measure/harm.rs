@@ -6,10 +6,9 @@
 //! the coefficients are those that three public transcriptions agree on.
 //!
 //! Range: towed light vehicles up to ten years old, front-seat and rear-seat occupants of any age and belt use, from
-//! crashes that were severe enough to be investigated. Near Δv = 0 the curves give 0.1 % (frontal) and 0.03 % (rear-end),
-//! which overstates the harm of touching at walking speed. No curve for lorries could be read. They use the same curves:
-//! a lorry's cab is stiffer and its driver sits above the impact, so that this is the rougher half of the figure. Its
-//! mass makes its Δv against a car small.
+//! crashes that were severe enough to be investigated. Near Δv = 0 the curves give 0.1 % (frontal) and 0.03 %
+//! (rear-end), which overstates the harm of touching at walking speed. No curve for lorries could be read, so that they
+//! use the same curves. The mass of a lorry makes its Δv against a car small.
 
 use crate::sim::Impact;
 
