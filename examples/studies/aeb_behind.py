@@ -1,8 +1,8 @@
 #!/usr/bin/env python3
 """Recomputes the figures of the study of rear-end collisions from its raw runs. Needs only Python 3.9.
 
-    aeb_behind.py REPORT [FIGURES]      tables of the runs in REPORT/runs.csv; compares them with REPORT/assessment.json,
-                                        and draws the Pareto fronts into the folder FIGURES
+    aeb_behind.py REPORT [FIGURES]      tables of the runs in REPORT/runs.csv, compared with REPORT/assessment.json;
+                                        draws the Pareto fronts into the folder FIGURES
     aeb_behind.py sensitivity CRUMPLE   runs the study with one assumption changed at a time
 """
 
@@ -112,7 +112,8 @@ def compare(groups, avoidable, report):
             equal(what + " caused", own.caused, one["caused"])
             equal(what + " harm", own.harm, one["harm_per_1000"][0], 0.0006)
             equal(what + " error of harm", own.harm_error, one["harm_per_1000"][1], 0.0006)
-            for field, count, of in [("ahead_percent", own.ahead, own.drives), ("behind_percent", own.behind, own.drives),
+            for field, count, of in [("ahead_percent", own.ahead, own.drives),
+                                     ("behind_percent", own.behind, own.drives),
                                      ("caused_per_100_activations", own.caused_active, own.activations)]:
                 low, high = clopper_pearson(count, of)
                 equal(f"{what} {field}", 100 * count / max(of, 1), one[field]["observed"], 0.006)
@@ -146,7 +147,8 @@ def front(points):
 def draw(path, title, note, controllers, passing, limit):
     """Draws collisions ahead against collisions behind, in percent of the drives."""
     width, height, left, top, size = 760, 560, 70, 60, (470, 400)
-    points = {name: (100 * one.behind / one.drives, 100 * one.ahead / one.drives) for name, one in controllers.items()}
+    points = {name: (100 * one.behind / one.drives, 100 * one.ahead / one.drives)
+              for name, one in controllers.items()}
     reach = [max(1.0, 1.08 * max(point[axis] for point in points.values())) for axis in (0, 1)]
     x = lambda value: left + size[0] * value / reach[0]
     y = lambda value: top + size[1] * (1 - value / reach[1])
@@ -157,8 +159,11 @@ def draw(path, title, note, controllers, passing, limit):
     for step in range(6):
         for axis in (0, 1):
             value = reach[axis] * step / 5
-            out.append(f'<text x="{x(value)}" y="{top + size[1] + 18}" text-anchor="middle">{value:.0f}</text>' if axis == 0
-                       else f'<text x="{left - 8}" y="{y(value) + 4}" text-anchor="end">{value:.0f}</text>')
+            if axis == 0:
+                place = f'x="{x(value)}" y="{top + size[1] + 18}" text-anchor="middle"'
+            else:
+                place = f'x="{left - 8}" y="{y(value) + 4}" text-anchor="end"'
+            out.append(f"<text {place}>{value:.0f}</text>")
     out.append(f'<text x="{left + size[0] / 2}" y="{top + size[1] + 40}" text-anchor="middle">'
                'Hit from behind (% of emergencies)</text>')
     out.append(f'<text transform="translate(20 {top + size[1] / 2}) rotate(-90)" text-anchor="middle">'
@@ -174,7 +179,8 @@ def draw(path, title, note, controllers, passing, limit):
         out.append(f'<circle cx="{px:.1f}" cy="{py:.1f}" r="4" fill="{color}"/>')
         out.append(f'<text x="{px + 6:.1f}" y="{py - 5:.1f}" fill="{color}">{number}</text>')
         label = name.replace("emergency-brake", "brake").replace("_mps2", "").replace("_s", "")
-        out.append(f'<text x="{left + size[0] + 16}" y="{top + 12 + 17 * number}" fill="{color}">{number} {label}</text>')
+        out.append(f'<text x="{left + size[0] + 16}" y="{top + 12 + 17 * number}" fill="{color}">'
+                   f'{number} {label}</text>')
     out.append(f'<text x="{left + size[0] + 16}" y="{top}" fill="#555">blue: passes, red: fails</text>')
     out.append(f'<text x="{left + size[0] + 16}" y="{top + 14}" fill="#555">fmvss-127 as modelled</text></svg>')
     Path(path).write_text("\n".join(out) + "\n")
@@ -209,7 +215,8 @@ def show(folder, figures):
         if figures and (key[1] == "all" or "(any" in key[1]):
             figures.mkdir(parents=True, exist_ok=True)
             slug = key[1].split()[0]
-            limit = f"Collision of any kind proved unavoidable: {percent(no, examined)} % of emergencies" if examined else None
+            unavoidable = f"Collision of any kind proved unavoidable: {percent(no, examined)} % of emergencies"
+            limit = unavoidable if examined else None
             draw(figures / f"aeb-behind-{slug}.svg", "Collisions ahead and behind, follower: " + key[1],
                  f"{next(iter(controllers.values())).drives} simulated emergencies; the line is the Pareto front",
                  controllers, passing, limit)

@@ -1,14 +1,17 @@
-//! A human driver: the Intelligent Driver Model on what a human perceives, with a reaction time, a limited braking level
-//! and glances off the road.
+//! A human driver: the Intelligent Driver Model on what a human perceives, with a reaction time, a limited braking
+//! level and glances off the road.
 //!
-//! | assumption | value | source |
-//! |---|---|---|
-//! | mean time from brake lights to braking | 1.25 s; 1.5 s without brake lights | Green 2000, Transportation Human Factors 2(3), 195-216, abstract: unexpected signals, surprise |
-//! | spread of that time | log-normal, shape 0.42 | Fambro, Koppa, Picha and Fitzpatrick 1998, TRR 1628, 1-7, abstract: mean 1.1 s, 95th percentile 2.0 s |
-//! | closing speed is not perceived | expansion below 0.003 rad/s | Hoffmann and Mortimer 1996, Accid. Anal. Prev. 28(4), abstract |
-//! | braking level of a driver | normal, 5.0 ± 1.2 m/s² | Fambro et al. 2000 and Koppa et al. 1996 (TRR 1550, 8-15), abstracts: 90 % brake at 3.4 m/s² or more without ABS on wet roads, 95 % at 0.32 g or more |
-//! | glances off the road | 0.1 per second, log-normal, median 0.8 s, shape 0.5 | chosen; see below |
-//! | speed and gap without an event | the driver keeps the time gap of the first observation | chosen |
+//! Assumptions and their sources:
+//! - Mean time from brake lights to braking 1.25 s, 1.5 s without brake lights: Green 2000, Transportation Human
+//!   Factors 2(3), 195-216, abstract (unexpected signals, surprise).
+//! - Log-normal spread of that time, shape 0.42: Fambro, Koppa, Picha and Fitzpatrick 1998, TRR 1628, 1-7, abstract
+//!   (mean 1.1 s, 95th percentile 2.0 s).
+//! - No closing speed is perceived below an expansion of 0.003 rad/s: Hoffmann and Mortimer 1996, Accid. Anal. Prev.
+//!   28(4), abstract.
+//! - Braking level normal, 5.0 ± 1.2 m/s²: Fambro et al. 2000 and Koppa et al. 1996 (TRR 1550, 8-15), abstracts (90 %
+//!   brake at 3.4 m/s² or more without ABS on wet roads, 95 % at 0.32 g or more).
+//! - Glances off the road 0.1 per second, log-normal, median 0.8 s, shape 0.5: chosen; see below.
+//! - Without a reason to brake the driver keeps the time gap of the first observation: chosen.
 //!
 //! Only abstracts of these sources could be read, not their tables. The braking level reproduces both percentiles to
 //! 0.1 m/s²; its mean is chosen between them and the smallest maximum of a driver, 6.9 m/s² (Fambro et al. 2000).

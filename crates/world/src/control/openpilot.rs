@@ -6,9 +6,9 @@
 //! of its danger zone.
 //!
 //! Not modelled: the model predictive controller, with its costs of jerk and its horizon of 10 s; radar and vision; the
-//! limits of each car, its actuators and the driver's alerts. This controller brakes at the constant deceleration that
-//! stops at the stop distance before the place where the lead stops at its comfort braking. Openpilot's cost would brake
-//! earlier and softer.
+//! limits of each car, its actuators and the driver's alerts. This controller brakes at the constant deceleration
+//! that stops at the stop distance before the place where the lead stops at its comfort braking. Openpilot's cost would
+//! brake earlier and softer.
 
 use super::{BuiltIn, Controller, ControllerFailure, Ego};
 use crate::observation::Observation;

@@ -214,8 +214,8 @@ impl HarmReport {
     }
 }
 
-const CSV_HEADER: &str = "space,controller,draw,follower,speed_mps,gap_ahead_s,gap_behind_s,friction,avoidable,activates,\
-                          ahead_mps,behind_mps,harm\n";
+const CSV_HEADER: &str = "space,controller,draw,follower,speed_mps,gap_ahead_s,gap_behind_s,friction,avoidable,\
+                          activates,ahead_mps,behind_mps,harm\n";
 
 fn write_csv(out: &mut String, space: &str, controller: &str, runs: &[HarmRun], avoidability: &[Option<bool>]) {
     let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
@@ -329,8 +329,8 @@ impl ReportPart for HarmReport {
             let [avoidable, unavoidable, examined] = group.avoidable;
             out.heading(&format!("{}, follower: {}", group.space.name, group.follower));
             out.paragraph(&format!(
-                "{} drives. Of the first {examined}, {avoidable} have an escape from every collision, and {unavoidable} \
-                 are proved to have none (`crumple avoid`).",
+                "{} drives. Of the first {examined}, {avoidable} have an escape from every collision, and \
+                 {unavoidable} are proved to have none (`crumple avoid`).",
                 group.drives
             ));
             out.table(&group.table(self.emergencies_per_hour));

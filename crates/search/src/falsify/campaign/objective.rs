@@ -46,8 +46,8 @@ impl SearchObjective {
         }
     }
 
-    /// Returns the cost to minimise. Without a failure it is the robustness. For the
-    /// other objectives than [`Self::Severest`], a failure has a negative cost, which is lower the better it meets the objective.
+    /// Returns the cost to minimise. Without a failure it is the robustness. For other objectives than
+    /// [`Self::Severest`], a failure has a negative cost, which is lower the better it meets the objective.
     #[must_use]
     pub(crate) fn cost(self, evaluated: &EvaluatedPoint) -> f64 {
         let robustness = evaluated.verdict.robustness;

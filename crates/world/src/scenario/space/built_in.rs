@@ -23,8 +23,8 @@ pub const BUILT_IN_SPACES: [(&str, &str, &str); 8] = [
     ("steady", "a leader that never brakes, 15 to 100 m ahead, and any follower", STEADY),
 ];
 
-/// Name, one-line description and base of each variant of a built-in space: a human drives the last vehicle. Variants are
-/// not in [`BUILT_IN_SPACES`], so that no default includes them.
+/// Name, one-line description and base of each variant of a built-in space: a human drives the last vehicle. Variants
+/// are not in [`BUILT_IN_SPACES`], so that no default includes them.
 pub const HUMAN_SPACES: [(&str, &str, &str); 2] = [
     ("high-risk-human", "the emergencies of high-risk, with a human as the follower", "high-risk"),
     ("traffic-human", "the everyday driving of traffic, with a human as the follower", "traffic"),
