@@ -154,7 +154,8 @@ def draw(path, title, note, controllers, passing, limit):
     y = lambda value: top + size[1] * (1 - value / reach[1])
     out = [f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}" '
            'font-family="sans-serif" font-size="12">', f'<rect width="{width}" height="{height}" fill="white"/>',
-           f'<text x="{left}" y="24" font-size="16">{title}</text>', f'<text x="{left}" y="44" fill="#555">{note}</text>',
+           f'<text x="{left}" y="24" font-size="16">{title}</text>',
+           f'<text x="{left}" y="44" fill="#555">{note}</text>',
            f'<rect x="{left}" y="{top}" width="{size[0]}" height="{size[1]}" fill="none" stroke="#888"/>']
     for step in range(6):
         for axis in (0, 1):

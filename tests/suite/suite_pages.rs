@@ -98,8 +98,7 @@ fn suites_are_evidence_of_an_assessment() {
         controller: controller.to_owned(),
         suite: suite.to_owned(),
     };
-    asked.gates =
-        vec![gate("idm", "un-r152"), gate("full-throttle", "un-r152"), gate("policy", "own.toml")];
+    asked.gates = vec![gate("idm", "un-r152"), gate("full-throttle", "un-r152"), gate("policy", "own.toml")];
     let plan = AssessmentPlan::new(asked.clone(), [], folder.path()).unwrap();
     let gather = || {
         let store = EvidenceCache::open(&folder.path().join("kept"), "program", false).unwrap();

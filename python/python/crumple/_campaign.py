@@ -156,4 +156,5 @@ def compare(
     """
     reference = None if against is None else as_controller(against)
     resolved, found = as_controller(controller), find_space(space)
-    return Comparison(*_compare(resolved, found, spec, reference, list(methods), seeds, budget, seed, estimator, progress))
+    compared = _compare(resolved, found, spec, reference, list(methods), seeds, budget, seed, estimator, progress)
+    return Comparison(*compared)

@@ -42,9 +42,9 @@ impl RetrainingReport {
         };
         writeln!(
             out,
-            "At most {rounds} round{} of {learning} (preset {}, seed {}): {from_paper}{:.0} % from collected cases, the \
-             rest random scenarios of {spaces}. Each search: {budget} evaluations of `{}` and of each reference search, and {draws} random \
-             scenarios. {}\n",
+            "At most {rounds} round{} of {learning} (preset {}, seed {}): {from_paper}{:.0} % from collected cases, \
+             the rest random scenarios of {spaces}. Each search: {budget} evaluations of `{}` and of each reference \
+             search, and {draws} random scenarios. {}\n",
             if rounds == 1 { "" } else { "s" },
             MarkdownCode(preset_name(&self.preset)),
             self.seed,
