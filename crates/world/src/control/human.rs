@@ -75,7 +75,11 @@ settings! {
 
 /// A human driver, with an optional emergency brake.
 #[derive(Debug, Clone)]
-pub struct Human {
+pub struct Human(Box<State>);
+
+/// State of the driver; boxed, because it is larger than that of most controllers.
+#[derive(Debug, Clone)]
+struct State {
     settings: HumanSettings,
     step_s: f64,
     stream: Stream,
@@ -102,7 +106,7 @@ impl BuiltIn for Human {
         let mut stream = stream(seed, Purpose::HumanDriver, ego.vehicle as u64);
         let level_mps2 = settings.brake_mps2 + settings.brake_deviation_mps2 * NormalSampler::new().sample(&mut stream);
         let shape = settings.reaction_shape;
-        Self {
+        Self(Box::new(State {
             step_s: ego.step_s,
             idm: None,
             aeb: HeldBrake::new(settings.aeb_ttc_s, settings.aeb_brake_mps2, ego),
@@ -113,7 +117,7 @@ impl BuiltIn for Human {
             held_mps2: 0.0,
             settings: settings.clone(),
             stream,
-        }
+        }))
     }
 }
 
@@ -122,7 +126,7 @@ fn log_normal(stream: &mut Stream, shape: f64) -> f64 {
     libm::exp(shape * NormalSampler::new().sample(stream))
 }
 
-impl Human {
+impl State {
     /// Returns true if the eyes are on the road during the next step. A driver with a reason to brake looks ahead.
     fn looks_ahead(&mut self) -> bool {
         if self.glance_steps > 0 {
@@ -175,17 +179,18 @@ impl Human {
 impl Controller for Human {
     #[inline]
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        let model = self.model(seen.speed_mps, seen.ahead.as_ref());
-        let emergency_mps2 = self.aeb.demand_mps2(seen);
-        if self.looks_ahead() {
-            let ahead = seen.ahead.map(|ahead| [ahead.gap_m, self.perceive(seen.speed_mps, &ahead)]);
+        let driver = &mut *self.0;
+        let model = driver.model(seen.speed_mps, seen.ahead.as_ref());
+        let emergency_mps2 = driver.aeb.demand_mps2(seen);
+        if driver.looks_ahead() {
+            let ahead = seen.ahead.map(|ahead| [ahead.gap_m, driver.perceive(seen.speed_mps, &ahead)]);
             if ahead.is_none() {
-                self.steps_to_brake = None;
+                driver.steps_to_brake = None;
             }
-            let strongest_mps2 = if self.steps_to_brake == Some(0) { self.brake_mps2 } else { COASTING_MPS2 };
-            self.held_mps2 = model.acceleration_mps2(seen.speed_mps, ahead).max(-strongest_mps2);
+            let strongest_mps2 = if driver.steps_to_brake == Some(0) { driver.brake_mps2 } else { COASTING_MPS2 };
+            driver.held_mps2 = model.acceleration_mps2(seen.speed_mps, ahead).max(-strongest_mps2);
         }
-        Ok(emergency_mps2.map_or(self.held_mps2, |brake_mps2| self.held_mps2.min(-brake_mps2)))
+        Ok(emergency_mps2.map_or(driver.held_mps2, |brake_mps2| driver.held_mps2.min(-brake_mps2)))
     }
 }
 
@@ -245,7 +250,7 @@ mod tests {
             all.sort_by(f64::total_cmp);
             all
         };
-        let (shares, levels) = (sorted(|driver| driver.reaction_share), sorted(|driver| driver.brake_mps2));
+        let (shares, levels) = (sorted(|driver| driver.0.reaction_share), sorted(|driver| driver.0.brake_mps2));
         assert!((shares.iter().sum::<f64>() / 4000.0 - 1.0).abs() < 0.03);
         assert!((shares[3800] - 2.0 / 1.1).abs() < 0.1, "95th percentile over mean: {}", shares[3800]);
         assert!((levels[400] - 3.4).abs() < 0.15 && (levels[200] - 0.32 * 9.81).abs() < 0.2, "{}", levels[400]);

@@ -48,7 +48,7 @@ impl CampaignSummary {
                 method: main.map(|reached| reached.coverage.percentages()),
                 with_reference_searches: all.percentages(),
             },
-            methods: reached.iter().map(|reached| MethodSummary::from_results(reached)).collect(),
+            methods: reached.iter().map(MethodSummary::from_results).collect(),
             failures: failures
                 .by_frequency()
                 .into_iter()
