@@ -107,7 +107,7 @@ enum CliCommand {
     // Boxed: it has far more arguments than any other.
     Retrain(Box<retrain::Retrain>),
     Tune(Box<tune::Tune>),
-    Falsify(falsify::Falsify),
+    Falsify(Box<falsify::Falsify>),
     Avoid(avoid::Avoid),
     WorstCase(worst_case::WorstCase),
     Check(check::Check),
