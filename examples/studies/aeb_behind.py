@@ -218,7 +218,7 @@ def show(folder, figures):
             slug = key[1].split()[0]
             unavoidable = f"Collision of any kind proved unavoidable: {percent(no, examined)} % of emergencies"
             limit = unavoidable if examined else None
-            draw(figures / f"aeb-behind-{slug}.svg", "Collisions ahead and behind, follower: " + key[1],
+            draw(figures / f"{slug}.svg", "Collisions ahead and behind, follower: " + key[1],
                  f"{next(iter(controllers.values())).drives} simulated emergencies; the line is the Pareto front",
                  controllers, passing, limit)
 

@@ -75,11 +75,11 @@ settings! {
 
 /// A human driver, with an optional emergency brake.
 #[derive(Debug, Clone)]
-pub struct Human(Box<State>);
+pub struct Human(Box<HumanState>);
 
 /// State of the driver; boxed, because it is larger than that of most controllers.
 #[derive(Debug, Clone)]
-struct State {
+struct HumanState {
     settings: HumanSettings,
     step_s: f64,
     stream: Stream,
@@ -106,7 +106,7 @@ impl BuiltIn for Human {
         let mut stream = stream(seed, Purpose::HumanDriver, ego.vehicle as u64);
         let level_mps2 = settings.brake_mps2 + settings.brake_deviation_mps2 * NormalSampler::new().sample(&mut stream);
         let shape = settings.reaction_shape;
-        Self(Box::new(State {
+        Self(Box::new(HumanState {
             step_s: ego.step_s,
             idm: None,
             aeb: HeldBrake::new(settings.aeb_ttc_s, settings.aeb_brake_mps2, ego),
@@ -126,7 +126,7 @@ fn log_normal(stream: &mut Stream, shape: f64) -> f64 {
     libm::exp(shape * NormalSampler::new().sample(stream))
 }
 
-impl State {
+impl HumanState {
     /// Returns true if the eyes are on the road during the next step. A driver with a reason to brake looks ahead.
     fn looks_ahead(&mut self) -> bool {
         if self.glance_steps > 0 {
