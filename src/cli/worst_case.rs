@@ -18,7 +18,7 @@ use crumple_store::disk::StagedFiles;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
 
-/// Find the mildest braking of the leader, or the mildest sensor fault, that makes a controller fail
+/// Find the mildest braking of the leader, or sensor fault, that makes a controller fail
 #[derive(Args)]
 #[command(after_long_help = "\
 The attack replaces the leader's script: braking only, within --max-brake and --jerk. For the baseline that observes \
