@@ -289,8 +289,8 @@ fn assumptions_are_printed_in_words() {
     for (assumption, said) in [
         (
             ExactMotion,
-            "vehicles have the plant `point-mass`: accelerations are held over each step, and a vehicle that has stopped \
-             does not reverse",
+            "vehicles have the plant `point-mass`: accelerations are held over each step, and a vehicle that has \
+             stopped does not reverse",
         ),
         (ScriptedLeader, "the leader moves as scripted and reacts to no vehicle"),
         (LatchedFollower, "the follower holds its speed until its latched emergency brake fires"),
