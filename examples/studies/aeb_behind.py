@@ -16,7 +16,7 @@ from collections import defaultdict
 from pathlib import Path
 
 HERE = Path(__file__).parent
-NEVER = "emergency-brake,ttc_s=0"
+REFERENCE = "emergency-brake,ttc_s=0.001"
 
 
 def binomial_cdf(k, n, p):
@@ -61,7 +61,10 @@ class Group:
         n = self.drives = len(runs)
         self.activations = sum(active)
         self.ahead, self.behind = sum(ahead), sum(behind)
-        self.avoided = sum(b and not a for a, b in zip(ahead, ahead_0))
+        self.only_behind = sum(b and not a for a, b in zip(ahead, behind))
+        avoided = [b and not a for a, b in zip(ahead, ahead_0)]
+        self.avoided = sum(avoided)
+        self.avoided_active = sum(a and b for a, b in zip(active, avoided))
         caused = [a and not b for a, b in zip(behind, behind_0)]
         self.caused = sum(caused)
         self.caused_active = sum(a and c for a, c in zip(active, caused))
@@ -71,7 +74,7 @@ class Group:
         mean = sum(difference) / n
         self.harm_saved = -1000 * mean
         self.harm_saved_error = 1960 * math.sqrt(sum((d - mean) ** 2 for d in difference) / n / n)
-        self.harm_saved_active = -100 * sum(difference) / max(1, self.activations)
+        self.harm_saved_active = -100 * sum(d for d, a in zip(difference, active) if a) / max(1, self.activations)
 
 
 def read_groups(path):
@@ -122,20 +125,29 @@ def compare(groups, avoidable, report):
     return compared
 
 
-def percent(count, of):
+def percent(count, of, scale=100.0):
+    """Returns a share with its interval, in units of 1/scale."""
     low, high = clopper_pearson(count, of)
-    return f"{100 * count / max(of, 1):.1f} ({100 * low:.1f} to {100 * high:.1f})"
+    return f"{scale * count / max(of, 1):.1f} ({scale * low:.1f} to {scale * high:.1f})"
 
 
 def print_group(key, controllers, passing, rate):
     print(f"\n### {key[0]}, follower: {key[1]}, {next(iter(controllers.values())).drives} drives\n")
-    print("| controller | passes | activations | hits leader, % | hit from behind, % | caused per 100 activations | "
-          "harm per 1000 | harm saved per 1000 | saved per 10⁶ h |\n|---|---|---|---|---|---|---|---|---|")
+    print("| controller | passes S7.1 | hits leader, % | hit from behind, % | only from behind, % | harm per 1000 "
+          "| harm saved per 1000 |\n|---|---|---|---|---|---|---|")
     for name, one in controllers.items():
-        print(f"| {name} | {passing.get(name, '–')} | {one.activations} | {percent(one.ahead, one.drives)} "
-              f"| {percent(one.behind, one.drives)} | {percent(one.caused_active, one.activations)} "
-              f"| {one.harm:.2f} ± {one.harm_error:.2f} | {one.harm_saved:.2f} ± {one.harm_saved_error:.2f} "
-              f"| {1000 * rate * one.harm_saved:.0f} |")
+        shares = " | ".join(percent(count, one.drives) for count in (one.ahead, one.behind, one.only_behind))
+        print(f"| {name} | {passing.get(name, '–')} | {shares} | {one.harm:.1f} ± {one.harm_error:.1f} "
+              f"| {one.harm_saved:.1f} ± {one.harm_saved_error:.1f} |")
+    if key[1] != "all":
+        return
+    print(f"\n| controller | activations | avoided ahead per 100 | caused behind per 100 | harm saved per 100 "
+          f"| avoided ahead per 1000 h | caused behind per 1000 h | harm saved per 1000 h |{chr(10)}{'|---' * 8}|")
+    for name, one in controllers.items():
+        active = [percent(count, one.activations) for count in (one.avoided_active, one.caused_active)]
+        hourly = [percent(count, one.drives, 1000 * rate) for count in (one.avoided, one.caused)]
+        print(f"| {name} | {one.activations} | {' | '.join(active)} | {one.harm_saved_active:.2f} | {' | '.join(hourly)} "
+              f"| {rate * one.harm_saved:.2f} ± {rate * one.harm_saved_error:.2f} |")
 
 
 def front(points):
@@ -149,7 +161,7 @@ def draw(path, title, note, controllers, passing, limit):
     width, height, left, top, size = 760, 560, 70, 60, (470, 400)
     points = {name: (100 * one.behind / one.drives, 100 * one.ahead / one.drives)
               for name, one in controllers.items()}
-    reach = [max(1.0, 1.08 * max(point[axis] for point in points.values())) for axis in (0, 1)]
+    reach = [10 * math.ceil(0.105 * max(1.0, *(point[axis] for point in points.values()))) for axis in (0, 1)]
     x = lambda value: left + size[0] * value / reach[0]
     y = lambda value: top + size[1] * (1 - value / reach[1])
     out = [f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}" '
@@ -157,14 +169,13 @@ def draw(path, title, note, controllers, passing, limit):
            f'<text x="{left}" y="24" font-size="16">{title}</text>',
            f'<text x="{left}" y="44" fill="#555">{note}</text>',
            f'<rect x="{left}" y="{top}" width="{size[0]}" height="{size[1]}" fill="none" stroke="#888"/>']
-    for step in range(6):
-        for axis in (0, 1):
-            value = reach[axis] * step / 5
+    for axis in (0, 1):
+        for value in range(0, reach[axis] + 1, 10 if reach[axis] <= 60 else 20):
             if axis == 0:
                 place = f'x="{x(value)}" y="{top + size[1] + 18}" text-anchor="middle"'
             else:
                 place = f'x="{left - 8}" y="{y(value) + 4}" text-anchor="end"'
-            out.append(f"<text {place}>{value:.0f}</text>")
+            out.append(f"<text {place}>{value}</text>")
     out.append(f'<text x="{left + size[0] / 2}" y="{top + size[1] + 40}" text-anchor="middle">'
                'Hit from behind (% of emergencies)</text>')
     out.append(f'<text transform="translate(20 {top + size[1] / 2}) rotate(-90)" text-anchor="middle">'
@@ -174,16 +185,25 @@ def draw(path, title, note, controllers, passing, limit):
     out.append(f'<polyline points="{path_of}" fill="none" stroke="#0060a0" stroke-width="1.5"/>')
     if limit is not None:
         out.append(f'<text x="{left + 6}" y="{top + size[1] + 62}" fill="#555">{limit}</text>')
+    taken = [(x(own[0]), y(own[1])) for own in points.values()]
+    around = ((13, -10), (-13, -10), (13, 10), (-13, 10), (0, -15), (0, 15))
+    places = [(far * dx, far * dy) for far in (1, 2, 3) for dx, dy in around]
     for number, name in enumerate(points, 1):
         px, py = (x(points[name][0]), y(points[name][1]))
+        free = [(px + dx, py + dy) for dx, dy in places
+                if all(abs(px + dx - tx) > 15 or abs(py + dy - ty) > 11 for tx, ty in taken)]
+        lx, ly = (free or [(px + 13, py - 10)])[0]
+        taken.append((lx, ly))
         color = {"yes": "#0060a0", "no": "#c04000"}.get(passing.get(name), "#555")
         out.append(f'<circle cx="{px:.1f}" cy="{py:.1f}" r="4" fill="{color}"/>')
-        out.append(f'<text x="{px + 6:.1f}" y="{py - 5:.1f}" fill="{color}">{number}</text>')
+        out.append(f'<line x1="{px:.1f}" y1="{py:.1f}" x2="{lx:.1f}" y2="{ly:.1f}" stroke="{color}" '
+                   'stroke-width="0.4"/>')
+        out.append(f'<text x="{lx:.1f}" y="{ly + 4:.1f}" text-anchor="middle" fill="{color}">{number}</text>')
         label = name.replace("emergency-brake", "brake").replace("_mps2", "").replace("_s", "")
         out.append(f'<text x="{left + size[0] + 16}" y="{top + 12 + 17 * number}" fill="{color}">'
                    f'{number} {label}</text>')
-    out.append(f'<text x="{left + size[0] + 16}" y="{top}" fill="#555">blue: passes, red: fails</text>')
-    out.append(f'<text x="{left + size[0] + 16}" y="{top + 14}" fill="#555">fmvss-127 as modelled</text></svg>')
+    out.append(f'<text x="{left + size[0] + 16}" y="{top}" fill="#555">blue: passes, red: fails S7.1</text>')
+    out.append(f'<text x="{left + size[0] + 16}" y="{top + 14}" fill="#555">of fmvss-127 as modelled</text></svg>')
     Path(path).write_text("\n".join(out) + "\n")
 
 
@@ -223,7 +243,11 @@ def show(folder, figures):
                  controllers, passing, limit)
 
 
-# Assumption, and the replacements in the text of the space.
+def time_gaps(ln_mean, ln_deviation):
+    return "ln_mean = 0.405, ln_deviation = 0.5", f"ln_mean = {ln_mean}, ln_deviation = {ln_deviation}"
+
+
+# Assumption, and the replacements in the text of the space and of the list of controllers.
 HUMAN = 'driver = "human"'
 CHANGES = {
     "base case": [],
@@ -241,15 +265,20 @@ CHANGES = {
                                '"vehicles[2].time_gap_s"\nunit = "s"\ndistribution.log-normal = { ln_mean = 0.0')],
     "time gap behind 2.0 s": [('"vehicles[2].time_gap_s"\nunit = "s"\ndistribution.log-normal = { ln_mean = 0.405',
                                '"vehicles[2].time_gap_s"\nunit = "s"\ndistribution.log-normal = { ln_mean = 0.693')],
+    "both time gaps as in 20 NGSIM events": [time_gaps(0.385, 0.408)],
+    "both time gaps as in OpenACC, short setting": [time_gaps(0.370, 0.415)],
+    "both time gaps as in OpenACC, long setting": [time_gaps(0.985, 0.222)],
     "time gap ahead 1.0 s": [('"vehicles[1].time_gap_s"\nunit = "s"\ndistribution.log-normal = { ln_mean = 0.405',
                               '"vehicles[1].time_gap_s"\nunit = "s"\ndistribution.log-normal = { ln_mean = 0.0')],
     "followers are cars": [('values = ["light", "heavy"]', 'values = ["light"]')],
-    "followers are lorries": [('values = ["light", "heavy"]', 'values = ["heavy"]')],
+    "followers are lorries": [('values = ["light", "heavy"]', 'values = ["heavy"]'),
+                              ('class = "light"\nposition_m = 0.0', 'class = "heavy"\nposition_m = 0.0')],
     "leader brakes less (mean share 0.35)": [("mean = 0.5, deviation = 0.2", "mean = 0.35, deviation = 0.2")],
     "leader brakes more (mean share 0.7)": [("mean = 0.5, deviation = 0.2", "mean = 0.7, deviation = 0.2")],
     "wet road (mean friction 0.6)": [("mean = 1.0, deviation = 0.2", "mean = 0.6, deviation = 0.2")],
+    "reference does not brake after its impact": [(REFERENCE, "emergency-brake,ttc_s=0")],
 }
-COMPARED = [NEVER, "emergency-brake", "emergency-brake,ttc_s=3", "predictive"]
+COMPARED = [REFERENCE, "emergency-brake", "emergency-brake,ttc_s=3", "predictive"]
 
 
 def sensitivity(crumple):
@@ -260,16 +289,16 @@ def sensitivity(crumple):
                                           for what in ("caused per 100", "harm saved per 1000")) + " |")
     print("|---|" + "---|---|" * (len(COMPARED) - 1))
     for assumption, changes in CHANGES.items():
-        text = space
+        text, names = space, json.dumps(COMPARED)
         for old, new in changes:
-            if old not in text:
-                sys.exit(f"error: {assumption}: `{old}` is not in the space")
-            text = text.replace(old, new)
+            if old not in text + names:
+                sys.exit(f"error: {assumption}: `{old}` is not in the study")
+            text, names = text.replace(old, new), names.replace(old, new)
         with tempfile.TemporaryDirectory() as folder:
             folder = Path(folder)
             (folder / "space.toml").write_text(text)
             (folder / "study.toml").write_text(
-                f"version = 1\ncontrollers = {json.dumps(COMPARED)}\npaper = false\ndistributions = [\"space.toml\"]\n"
+                f"version = 1\ncontrollers = {names}\npaper = false\ndistributions = [\"space.toml\"]\n"
                 "draws = 2000\neveryday_draws = 0\nsearch = { spaces = [] }\nrates = { runs = 0 }\ncertificates = []\n"
                 "harm = { emergencies_per_hour = 0.1 }\n")
             subprocess.run([crumple, "assess", "study.toml", "--out", "report"], cwd=folder, check=True,
