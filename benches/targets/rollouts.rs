@@ -1,7 +1,7 @@
 //! Rollouts with built-in controllers, on one and on two threads.
 
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, LeadProfile, PlantKind, Scenario, built_in_scenario};
+use crumple_world::scenario::{Brake, Driver, LeadProfile, PlantKind, Scenario, built_in_scenario};
 use crumple_world::sim::{Outcome, RecordingLevel, Run, simulate_batch};
 
 use crate::clock::{cpu_time_s, min_cpu_time_s, min_wall_time_s};
@@ -36,8 +36,10 @@ pub fn measure(say: &mut dyn FnMut(Measurement)) {
         (20.0, "the same at 20 m/s"),
         (10.0, "the same at 10 m/s"),
         (1.0, "the same at 1 m/s, where the wheels need small integration steps"),
+        (25.0, "the same, mean of the 10 s in which idm stops from 25 m/s"),
     ] {
-        let following = runs(&[following_at(speed_mps)], built_in("baseline"), EstimatorKind::Truth);
+        let driver = built_in(if speed_mps == 25.0 { "idm" } else { "baseline" });
+        let following = runs(&[following_at(speed_mps)], driver, EstimatorKind::Truth);
         let [seconds] = min_cpu_time_s(10, [&mut all(&following)]);
         // The scripted leader takes a negligible time. The Python package of CommonRoad needs 8.2 ms.
         say(Measurement::at_most(8200.0, "ns", name, 1e9 * seconds / following[0].scenario().steps() as f64));
@@ -54,13 +56,16 @@ fn all(runs: &[Run]) -> impl FnMut() + Send + '_ {
     }
 }
 
-/// Returns 10 s of one multi-body vehicle that follows a leader of the same speed.
+/// Returns 10 s of one multi-body vehicle that follows a leader of the same speed, which brakes from 25 m/s to rest.
 fn following_at(speed_mps: f64) -> Scenario {
     let following = built_in_scenario("paper-1").expect("built in").edited(|spec| {
         spec.duration_s = 10.0;
         spec.vehicles.truncate(2);
         spec.vehicles.iter_mut().for_each(|vehicle| vehicle.speed_mps = speed_mps);
-        spec.vehicles[0].driver = Driver::Profile(LeadProfile::ConstantSpeed);
+        spec.vehicles[0].driver = Driver::Profile(match speed_mps {
+            25.0 => LeadProfile::Brake(Brake { onset_s: 0.0, rate_mps2: 3.0 }),
+            _ => LeadProfile::ConstantSpeed,
+        });
         spec.vehicles[1].plant = PlantKind::MultiBody;
     });
     following.expect("valid")
