@@ -314,7 +314,7 @@ def sensitivity(crumple):
 if __name__ == "__main__":
     if sys.argv[1:2] == ["sensitivity"] and len(sys.argv) == 3:
         sensitivity(Path(sys.argv[2]).resolve())
-    elif len(sys.argv) in (2, 3):
+    elif len(sys.argv) in (2, 3) and (Path(sys.argv[1]) / "runs.csv").is_file():
         show(Path(sys.argv[1]), Path(sys.argv[2]) if len(sys.argv) == 3 else None)
     else:
         sys.exit(__doc__)

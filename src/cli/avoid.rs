@@ -94,6 +94,9 @@ impl Avoid {
             AvoidError::Grid { .. } => CliError::Input(format!("--grid: {error}")),
             other => CliError::Input(format!("{}: {other}", self.scenario)),
         })?;
+        if let AvoidanceVerdict::Undecided(reason @ UndecidedReason::Plant) = &avoidance.verdict {
+            return Err(CliError::Input(format!("{}: {reason}", self.scenario)));
+        }
         let mut files = StagedFiles::default();
         self.stage_certificates(&scenario, &avoidance, &mut files)?;
         match avoidance.verdict.escape() {

@@ -153,6 +153,18 @@ impl CertificateReport<'_> {
         Some(built_in.is_ok_and(|built_in| built_in == *text))
     }
 
+    /// Returns the plants of a space; other statements have them as an assumption.
+    fn plants(&self) -> &'static str {
+        let text = self.certificate.provenance.scenario_text.as_deref();
+        match (&self.certificate.statement, text) {
+            (Statement::Rate(_) | Statement::Comparison(_), Some(text)) if text.contains("\"multi-body\"") => {
+                "  some of its vehicles have the plant `multi-body`\n"
+            }
+            (Statement::Rate(_) | Statement::Comparison(_), Some(_)) => "  its vehicles have the plant `point-mass`\n",
+            _ => "",
+        }
+    }
+
     fn scope(&self) -> Scope {
         match count_omitted_vehicles(self.certificate) {
             Some(vehicles) => self.certificate.scope_with_uncovered_vehicles(vehicles),
@@ -203,6 +215,7 @@ impl CertificateReport<'_> {
         for assumption in &certificate.assumptions {
             text += &format!("  assuming that {assumption}\n");
         }
+        text += self.plants();
         let old =
             if certificate.is_first_version() { ", an old one: see docs/certificates.md for its limits" } else { "" };
         text + &format!(

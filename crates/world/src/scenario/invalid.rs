@@ -51,6 +51,9 @@ pub enum FieldProblem {
         /// Length of the text or list.
         found: usize,
     },
+    /// Outages with a rate and without a length.
+    #[error("must be more than 0, because outage_rate_per_s is")]
+    OutageWithoutLength,
     /// Control characters in a name, which would garble a terminal.
     #[error("must not hold control characters")]
     ControlCharacter,

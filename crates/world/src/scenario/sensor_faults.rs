@@ -19,7 +19,7 @@ pub struct SensorFaults {
     /// Mean number of outages per second of measuring; 0 for none. An outage loses all measurements of one sensor.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 100.0)))]
     pub outage_rate_per_s: f64,
-    /// Mean length of an outage, in seconds; 0 for none. Lengths are exponential.
+    /// Mean length of an outage, in seconds; required with a rate. Lengths are exponential.
     #[cfg_attr(feature = "schema", schemars(range(min = 0.0, max = 100.0)))]
     pub outage_length_s: f64,
     /// Largest gap at which a sensor detects a vehicle, in metres. Default: unlimited.

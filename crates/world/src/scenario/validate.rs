@@ -41,6 +41,10 @@ pub(super) fn check(spec: &ScenarioSpec) -> Result<usize, InvalidField> {
     for (path, value, [least, most]) in spec.sensors.faults.limits() {
         sensors.field("faults").field(path).check_number(value, range_from(least, most))?;
     }
+    let faults = &spec.sensors.faults;
+    if faults.outage_rate_per_s > 0.0 && faults.outage_length_s == 0.0 {
+        return sensors.field("faults").field("outage_length_s").reject(FieldProblem::OutageWithoutLength);
+    }
     root.field("vehicles").check_length(spec.vehicles.len(), 2, 1000, "vehicles")?;
     let found = steps.saturating_mul(spec.vehicles.len());
     if found > MAX_VEHICLE_STEPS {
@@ -305,6 +309,7 @@ mod tests {
         assert_eq!(field_of(|s| s.environment.friction = 0.0), "environment.friction");
         assert_eq!(field_of(|s| s.sensors.dropout = 1.5), "sensors.dropout");
         assert_eq!(field_of(|s| s.sensors.faults.latency_s = -0.1), "sensors.faults.latency_s");
+        assert_eq!(field_of(|s| s.sensors.faults.outage_rate_per_s = 1.0), "sensors.faults.outage_length_s");
         let near = GhostObject { onset_s: 0.0, duration_s: 1.0, gap_m: 0.0, speed_mps: 0.0 };
         assert_eq!(field_of(|s| s.sensors.faults.ghost = Some(near)), "sensors.faults.ghost.gap_m");
         assert_eq!(field_of(|s| s.vehicles.truncate(1)), "vehicles");

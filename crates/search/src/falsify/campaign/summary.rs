@@ -285,7 +285,7 @@ impl CampaignSummary {
             self.seed
         )?;
         if self.objective != SearchObjective::default().name() {
-            writeln!(out, "  objective of the search: the {} failures", self.objective)?;
+            writeln!(out, "  objective of the search: {}", self.objective)?;
         }
         if let Some(criterion) = &self.failure_criterion {
             writeln!(out, "  the search counts only failures {}", TerminalText(&criterion.describe()))?;

@@ -11,7 +11,7 @@ use super::record::ExaminedFailure;
 use super::shrink::shrink;
 use crate::confirmation::CONFIRMING_PLANT;
 use crate::falsify::campaign::{Campaign, CampaignError, FailureCandidate, FailureKind, ResolvedConfig};
-use crumple_world::measure::{RunVerdict, SpecificationError, max_delta_v_mps};
+use crumple_world::measure::{RunVerdict, SpecificationError, harm, max_delta_v_mps};
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
 use crumple_world::sim::{AfterContact, FailedController, RecordingLevel, Run, simulate};
 
@@ -127,6 +127,7 @@ impl<'a> Examiner<'a> {
             original_verdict,
             dt_fragile,
             max_delta_v_mps: deltas.reduce(f64::max),
+            harm: harm(&aftermath.impacts, scenario.vehicles().len()),
             vehicles_involved: aftermath.vehicles_involved(),
             because: failed.filter(|_| verdict.failure.is_some()).map(FailedController::reason),
             scenario,

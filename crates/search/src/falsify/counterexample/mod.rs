@@ -66,6 +66,9 @@ pub struct Counterexample {
     pub original_impact_speed_mps: Option<f64>,
     /// Largest change of speed of any vehicle in one impact, in m/s, if the simulation continues after the collision.
     pub max_delta_v_mps: Option<f64>,
+    /// Expected number of seriously injured drivers, if the simulation continues after the collision.
+    #[serde(default)]
+    pub harm: f64,
     /// Number of vehicles in any impact, if the simulation continues after the collision.
     pub vehicles_involved: usize,
     /// Logarithm of the density under the space's distribution, relative to the uniform density.
@@ -142,6 +145,7 @@ impl Counterexample {
         let fragile = if self.dt_fragile { ", DT-FRAGILE" } else { "" };
         writeln!(out, "  {}\n      {}: {severity}{fragile}", self.file, self.kind)?;
         let delta = self.max_delta_v_mps.map_or(String::new(), |delta| format!("delta-v {delta:.1} m/s, "));
+        let harm = if self.harm > 0.0 { format!("harm {:.3}, ", self.harm) } else { String::new() };
         let involved = match self.vehicles_involved {
             0 => "no vehicle collided".to_owned(),
             many => format!("{many} vehicles involved"),
@@ -149,7 +153,7 @@ impl Counterexample {
         let runs = if self.found_at == 1 { "run" } else { "runs" };
         writeln!(
             out,
-            "      {delta}{involved}; likelihood rank {}; {} after {} {runs}",
+            "      {delta}{harm}{involved}; likelihood rank {}; {} after {} {runs}",
             self.likelihood_rank, self.found_by, self.found_at
         )?;
         if let Some(words) = self.avoidability.describe() {

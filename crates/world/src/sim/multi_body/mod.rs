@@ -161,6 +161,8 @@ impl MultiBody {
         let engine_mps2 = demand_mps2.max(0.0);
         let acceleration_mps2 = if is_rolling {
             let demand_mps2 = engine_mps2 - brake_shares[0] * pressure[0] - brake_shares[1] * pressure[1];
+            let peak_mps2 = body.tyre.p_dx1 * self.friction * GRAVITY_MPS2;
+            let demand_mps2 = demand_mps2.clamp(-peak_mps2, peak_mps2);
             // The brake holds a vehicle at rest.
             if speed > 0.0 { demand_mps2 } else { demand_mps2.max(0.0) }
         } else {
