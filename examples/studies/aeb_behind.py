@@ -72,9 +72,9 @@ class Group:
         self.harm_error = 1960 * math.sqrt(sum((1 * h - self.harm / 1000) ** 2 for h in harm) / n / n)
         difference = [float(a["harm"]) - float(b["harm"]) for a, b in zip(runs, reference)]
         mean = sum(difference) / n
-        self.harm_saved = -1000 * mean
+        self.harm_saved = 0.0 - 1000 * mean
         self.harm_saved_error = 1960 * math.sqrt(sum((d - mean) ** 2 for d in difference) / n / n)
-        self.harm_saved_active = -100 * sum(d for d, a in zip(difference, active) if a) / max(1, self.activations)
+        self.harm_saved_active = 100 * sum(-d for d, a in zip(difference, active) if a) / max(1, self.activations)
 
 
 def read_groups(path):
