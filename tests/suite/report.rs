@@ -283,17 +283,7 @@ fn no_controller_exceeds_the_bound_and_regrets_add_up() {
 }
 
 #[test]
-fn worst_profiles_collide_and_kernels_are_proved() {
-    let worst = BUILT_IN_ASSESSMENT.worst_profiles.as_ref().expect("shipped");
-    for profile in &worst.profiles {
-        let Some(mildest) = &profile.mildest else { continue };
-        assert!(
-            mildest.verdict.is_failure() && mildest.margin_m.is_some_and(|margin_m| margin_m.value() <= 0.0),
-            "{}",
-            profile.controller
-        );
-        assert!(mildest.peak_brake_mps2 <= worst.max_brake_mps2, "{}", profile.controller);
-    }
+fn every_certificate_is_accepted() {
     let accepted = BUILT_IN_ASSESSMENT.proofs.certificates.iter().filter(|proof| proof.is_accepted());
     assert_eq!(accepted.count(), BUILT_IN_ASSESSMENT.proofs.certificates.len());
     for statement in ["kernel", "rate", "comparison", "reach"] {

@@ -44,11 +44,11 @@ pub use parts::{
     CertificateStatus, CertificateSubject, CheckedCertificate, ClaimRow, ClaimSummary, ComparisonError, ControllerHarm,
     ControllerSample, ControllerUsefulness, DistinctFailure, EXAMPLE_MPS, EarlierAssessment, EscapeFile, FailureSearch,
     FailureSearches, FileScenarios, FirstPage, Glossary, GsnElement, GsnElementKind, HarmGroup, HarmReport, KernelGap,
-    LimitingAssumption, MAX_EVIDENCE_BYTES, MethodResult, MildestAttack, NameExplanation, PairedCounts, PaperScenarios,
+    LimitingAssumption, MAX_EVIDENCE_BYTES, MethodResult, NameExplanation, PairedCounts, PaperScenarios,
     ParameterDescription, PercentInterval, Proofs, RunInfo, SafetyAnswer, ScenarioCases, SpaceDescription,
     SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches, SpaceSpecificationSearches, SpecificationSearch,
     SpecificationSearches, SpecificationViolation, StringStabilityVerdict, SuiteFailure, SuiteFindings, SuiteOutcome,
-    SuiteTest, Suites, UsefulnessReport, WorstProfile, WorstProfiles,
+    SuiteTest, Suites, UsefulnessReport,
 };
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
@@ -57,7 +57,6 @@ pub use rounded::Rounded;
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress, Stopped};
 use crumple_evidence::{InvalidRate, RateError};
 use crumple_search::falsify::campaign::CampaignError;
-use crumple_search::worst_case::AttackError;
 use crumple_store::run_folder::{MANIFEST_FILE, manifest_text};
 use crumple_suites::SuiteRunError;
 use crumple_world::measure::SpecificationError;
@@ -67,7 +66,7 @@ use gather_context::GatherContext;
 use parts::GatheredEvidence;
 
 /// Version of the JSON evidence that this release writes.
-pub const EVIDENCE_VERSION: u32 = 3;
+pub const EVIDENCE_VERSION: u32 = 4;
 
 /// All results of an assessment.
 #[derive(Debug, Clone, Serialize)]
@@ -101,8 +100,6 @@ pub struct AssessmentReport {
     #[serde(skip_serializing_if = "Option::is_none")]
     #[serde(rename = "rules")]
     pub specification_searches: Option<SpecificationSearches>,
-    /// Mildest braking of the leader against each controller.
-    pub worst_profiles: Option<WorstProfiles>,
     /// Behaviour of each controller in everyday traffic; absent if the plan makes no such drives.
     pub usefulness: Option<UsefulnessReport>,
     /// Proved claims.
@@ -158,9 +155,6 @@ pub enum AssessError {
     /// A random scenario of a space is invalid.
     #[error("a random scenario is invalid: {0}")]
     Draw(#[from] InvalidField),
-    /// The search for the worst braking fails.
-    #[error(transparent)]
-    Attack(#[from] AttackError),
     /// The search for failures fails.
     #[error(transparent)]
     Campaign(#[from] CampaignError),
@@ -226,7 +220,6 @@ pub fn assess(
     let suites = Suites::gather(&work)?;
     let searches = FailureSearches::gather(&work)?;
     let rules = SpecificationSearches::gather(&work)?;
-    let worst_profiles = WorstProfiles::gather(&work)?;
     let usefulness = UsefulnessReport::gather(&work)?;
     let scenarios = paper_scenarios.iter().flat_map(|paper| &paper.scenarios);
     let scenarios = scenarios.chain(traffic.iter().flat_map(|traffic| &traffic.scenarios));
@@ -238,7 +231,6 @@ pub fn assess(
         rate_spaces: &rate_spaces,
         traffic: traffic.as_ref(),
         suites: suites.as_ref(),
-        worst: worst_profiles.as_ref(),
         searches: &searches,
         rules: rules.as_ref(),
         usefulness: usefulness.as_ref(),
@@ -264,7 +256,6 @@ pub fn assess(
         suites,
         searches,
         specification_searches: rules,
-        worst_profiles,
         usefulness,
         proofs,
         limits,
@@ -288,7 +279,7 @@ impl AssessmentPlan {
         let searched_by = 1 + self.config.search.specifications.len() as u64;
         let searches = 3 * self.search_spaces.len() as u64 * self.config.search.budget * searched_by;
         let drawn = self.config.draws * self.rate_spaces.len() as u64 * if self.config.harm.is_some() { 2 } else { 1 };
-        let each = scenarios + drawn + searches + parts::ATTACK_BUDGET as u64;
+        let each = scenarios + drawn + searches;
         let learned = self.controllers.iter().filter(|controller| controller.kind.is_learned()).count() as u64;
         let driven = controllers.saturating_mul(2 * self.config.everyday_draws);
         let counted = self.rate_spaces.len() as u64 * (learned + 1);
@@ -326,10 +317,7 @@ impl AssessmentReport {
     /// Returns the parts of the appendix.
     #[must_use]
     pub fn appendix(&self) -> Vec<&dyn ReportPart> {
-        let mut parts: Vec<&dyn ReportPart> = Vec::new();
-        parts.extend(self.worst_profiles.as_ref().map(|worst| worst as &dyn ReportPart));
-        parts.extend([&self.space_descriptions as &dyn ReportPart, &Glossary, &self.provenance]);
-        parts
+        vec![&self.space_descriptions, &Glossary, &self.provenance]
     }
 
     /// Returns the report as one self-contained HTML page.
@@ -394,7 +382,7 @@ impl AssessmentReport {
         let failures = self.searches.failures().flat_map(DistinctFailure::commands);
         let of_suites = self.suites.iter().flat_map(Suites::commands);
         let of_rules = self.specification_searches.iter().flat_map(SpecificationSearches::commands);
-        failures.chain(of_suites).chain(of_rules).chain(self.worst_profiles.iter().flat_map(WorstProfiles::commands))
+        failures.chain(of_suites).chain(of_rules)
     }
 }
 

@@ -151,11 +151,6 @@ pub enum Domain {
         /// Content of the box.
         around: ContentId,
     },
-    /// A scenario with any braking of its leader that the leader's limits allow.
-    AnyLeaderBraking {
-        /// Scenario.
-        scenario: ContentId,
-    },
     /// Any initial state inside the safety kernels of these brake limits, under the assumptions of the shield.
     Kernels {
         /// Brake limits of the ego vehicle and of its leader, on a dry road, each pair in m/s².
@@ -251,7 +246,6 @@ impl Domain {
             }
             Self::Suite { suite } => format!("of suite `{}`, on point masses in one lane", suite.name),
             Self::Box { around } => format!("from {}", around.name),
-            Self::AnyLeaderBraking { scenario, .. } => format!("in {} for any braking of its leader", scenario.name),
             Self::Kernels { limits_mps2 } => {
                 let hardest = limits_mps2.iter().map(|[_, ahead]| ahead.value()).reduce(f64::max);
                 let ahead =

@@ -23,8 +23,6 @@ mod string_stability;
 mod suites;
 mod summary;
 mod usefulness;
-mod worst_profiles;
-mod worst_profiles_figure;
 
 pub use answer::{FirstPage, SafetyAnswer};
 pub use argument::{Argument, GsnElement, GsnElementKind};
@@ -53,5 +51,3 @@ pub(super) use summary::GatheredEvidence;
 pub use summary::{ClaimRow, ClaimSummary, NameExplanation};
 pub(super) use usefulness::EVERYDAY_SPACES;
 pub use usefulness::{ControllerUsefulness, UsefulnessReport};
-pub(super) use worst_profiles::ATTACK_BUDGET;
-pub use worst_profiles::{MildestAttack, WorstProfile, WorstProfiles};

@@ -6,7 +6,7 @@ use serde::Serialize;
 use super::certificates::{describe_estimator, kernel_domain, shield_kernels};
 use super::{
     FailureSearches, FileScenarios, PaperScenarios, Proofs, SpaceSamples, SpecificationSearches, Suites,
-    UsefulnessReport, WorstProfiles,
+    UsefulnessReport,
 };
 use crate::assessment::claims::{AssuranceClaim, ClaimStatus, ContentId, Domain, InferenceRule, Ledger, Property};
 use crate::assessment::document::ReportDocument;
@@ -68,7 +68,6 @@ pub(in crate::assessment) struct GatheredEvidence<'a> {
     pub(in crate::assessment) rate_spaces: &'a SpaceSamples,
     pub(in crate::assessment) traffic: Option<&'a FileScenarios>,
     pub(in crate::assessment) suites: Option<&'a Suites>,
-    pub(in crate::assessment) worst: Option<&'a WorstProfiles>,
     pub(in crate::assessment) searches: &'a FailureSearches,
     pub(in crate::assessment) rules: Option<&'a SpecificationSearches>,
     pub(in crate::assessment) usefulness: Option<&'a UsefulnessReport>,
@@ -84,7 +83,6 @@ impl GatheredEvidence<'_> {
         all.extend(self.suites.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.searches.evidence(plan));
         all.extend(self.rules.iter().flat_map(|part| part.evidence(plan)));
-        all.extend(self.worst.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.usefulness.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.proofs.evidence(plan));
         Ledger::new(all)
@@ -280,9 +278,6 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
             add("search", None, of_all(Property::NoContact, Domain::Space { space: space.clone() }, own));
         }
     }
-    if let Some(worst) = found.worst {
-        add("worst", None, of_all(Property::NoContact, worst.domain(), own));
-    }
     for claim in found.proofs.reach_claims() {
         let words = format!("{}, {}", claim.describe(), describe_estimator(claim.subject.estimator));
         add("proofs", Some(words), of_all(claim.property.clone(), claim.domain.clone(), claim.subject.estimator));
@@ -324,5 +319,4 @@ impl ReportPart for ClaimSummary {
 
 const LEGEND: &str = "✓ supported, ✗ refuted, – not claimed. A cell gives the failures of the runs (`0 of 1000`), the \
     failures of both controllers in the same runs (`0 against 1000`), bounds of a rate with their confidence level \
-    (`≤ 0.24 % (99.9 %)`), the distinct failures of a search, or the hardest braking of a leader that causes a \
-    collision (m/s²). A proof holds under the assumptions in the section \"Proofs\".";
+    (`≤ 0.24 % (99.9 %)`), or the distinct failures of a search. A proof holds under the assumptions in the section \"Proofs\".";
