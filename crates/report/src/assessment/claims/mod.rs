@@ -96,12 +96,6 @@ pub enum Property {
     OthersKeepClear,
     /// String stability: a disturbance does not grow from vehicle to vehicle in a line of these controllers.
     StringStable,
-    /// The subject satisfies a specification.
-    #[serde(rename = "keeps")]
-    Satisfies {
-        /// Specification, in the syntax of `--spec`.
-        rule: String,
-    },
 }
 
 /// The domain of a claim.
@@ -197,7 +191,6 @@ impl Property {
             Self::PassesTests => "passes every test that can be run".to_owned(),
             Self::OthersKeepClear => "no collision of other vehicles".to_owned(),
             Self::StringStable => "string stability".to_owned(),
-            Self::Satisfies { rule } => rule.clone(),
         }
     }
 
@@ -214,7 +207,6 @@ impl Property {
             Self::PassesTests => "failed tests".to_owned(),
             Self::OthersKeepClear => "collision of other vehicles".to_owned(),
             Self::StringStable => "string instability".to_owned(),
-            Self::Satisfies { rule } => format!("violation of `{rule}`"),
         }
     }
 
@@ -226,7 +218,7 @@ impl Property {
     /// True for a property of every run of a domain: one run refutes it.
     #[must_use]
     pub(crate) fn is_universal(&self) -> bool {
-        matches!(self, Self::NoContact | Self::NoContactAhead | Self::NoUnnecessaryBraking | Self::Satisfies { .. })
+        matches!(self, Self::NoContact | Self::NoContactAhead | Self::NoUnnecessaryBraking)
     }
 }
 

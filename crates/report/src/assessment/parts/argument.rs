@@ -186,10 +186,7 @@ const GOALS: [(&str, &str, PropertyFilter); 6] = [
         |property| {
             matches!(
                 property,
-                Property::NoUnnecessaryBraking
-                    | Property::KeepsUp
-                    | Property::StringStable
-                    | Property::Satisfies { .. }
+                Property::NoUnnecessaryBraking | Property::KeepsUp | Property::StringStable
             )
         },
     ),

@@ -18,7 +18,6 @@ mod rate_certificates;
 mod sampling;
 mod scenario_cases;
 mod space_descriptions;
-mod specification_searches;
 mod string_stability;
 mod suites;
 mod summary;
@@ -42,9 +41,6 @@ pub(super) use rate_certificates::generated_certificate_names;
 pub use sampling::{ControllerSample, PairedCounts, PercentInterval, SpaceSample, SpaceSamples};
 pub use scenario_cases::ScenarioCases;
 pub use space_descriptions::{ParameterDescription, SpaceDescription, SpaceDescriptions};
-pub use specification_searches::{
-    SpaceSpecificationSearches, SpecificationSearch, SpecificationSearches, SpecificationViolation,
-};
 pub use string_stability::StringStabilityVerdict;
 pub use suites::{SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites};
 pub(super) use summary::GatheredEvidence;

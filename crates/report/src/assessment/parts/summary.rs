@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use super::certificates::{describe_estimator, kernel_domain, shield_kernels};
 use super::{
-    FailureSearches, FileScenarios, PaperScenarios, Proofs, SpaceSamples, SpecificationSearches, Suites,
+    FailureSearches, FileScenarios, PaperScenarios, Proofs, SpaceSamples, Suites,
     UsefulnessReport,
 };
 use crate::assessment::claims::{AssuranceClaim, ClaimStatus, ContentId, Domain, InferenceRule, Ledger, Property};
@@ -69,7 +69,6 @@ pub(in crate::assessment) struct GatheredEvidence<'a> {
     pub(in crate::assessment) traffic: Option<&'a FileScenarios>,
     pub(in crate::assessment) suites: Option<&'a Suites>,
     pub(in crate::assessment) searches: &'a FailureSearches,
-    pub(in crate::assessment) rules: Option<&'a SpecificationSearches>,
     pub(in crate::assessment) usefulness: Option<&'a UsefulnessReport>,
     pub(in crate::assessment) proofs: &'a Proofs,
 }
@@ -82,7 +81,6 @@ impl GatheredEvidence<'_> {
         all.extend(self.traffic.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.suites.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.searches.evidence(plan));
-        all.extend(self.rules.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.usefulness.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.proofs.evidence(plan));
         Ledger::new(all)
@@ -257,9 +255,6 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
     }
     for searched in &found.searches.spaces {
         add("search", None, of_all(Property::NoContact, searched.domain(plan), own));
-    }
-    for searched in found.rules.iter().flat_map(|rules| &rules.searches) {
-        add("rules", None, of_all(searched.property(), searched.domain(plan), own));
     }
     if let Some(usefulness) = found.usefulness {
         let [traffic, danger] = usefulness.domains();
