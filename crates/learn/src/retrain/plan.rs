@@ -11,8 +11,7 @@ use super::files::{
 };
 use super::report::RetrainingReport;
 use super::{RetrainError, SearchedSpaces};
-use crumple_store::difference;
-use crumple_store::run_folder::{RunFolder, RunFolderError, RunFolderOptions};
+use crumple_store::run_folder::{RunFolder, RunFolderOptions};
 
 use crate::rl::{TrainingConfig, TrainingConfigError, action_bounds, is_default};
 use crumple_search::falsify::Method;
@@ -248,12 +247,7 @@ impl RetrainingPlan {
                 "rounds/",
             ],
         };
-        match RunFolder::open(folder, asked) {
-            Err(RunFolderError::OtherConfiguration { path, found, .. }) => {
-                Err(RetrainError::Folder(difference::describe_toml(&path, "retraining", &found, &configuration)))
-            }
-            work => Ok(work?),
-        }
+        Ok(RunFolder::open(folder, asked)?)
     }
 }
 
