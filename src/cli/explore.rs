@@ -12,7 +12,7 @@ use crumple_store::disk::DiskError;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 
-/// Explore scenarios interactively in a browser and follow running campaigns
+/// Explore scenarios and campaigns interactively in a browser
 #[derive(Args)]
 #[command(after_long_help = "\
 Prints an address for the browser of this machine and serves it until Ctrl-C, only on 127.0.0.1 and only to requests \
@@ -25,7 +25,7 @@ Examples:
   crumple explore my-scenario.toml --controller baseline --controller policy --out drawn
   crumple explore runs/match-leader runs/idm")]
 pub(super) struct Explore {
-    /// Initial scenarios, built-in or files, and folders of campaigns (`crumple falsify --out`), finished or running.
+    /// Initial scenarios, built-in or files, and folders of complete campaigns (`crumple falsify --out`).
     /// The browser shows the first one
     #[arg(value_name = "SCENARIO|CAMPAIGN")]
     what: Vec<String>,

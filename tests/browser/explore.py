@@ -168,20 +168,10 @@ def drive(folder, crumple, tools, screenshots):
     search = ["falsify", "--controller", "match-leader", "--space", "high-risk"]
     run(*search, "--budget", "300", "--out", "found")
     (folder / "saved").mkdir()
-    running = subprocess.Popen(
-        [crumple, "--quiet", *search, "--method", "cma-es", "--budget", "3000000", "--out", "running"],
-        cwd=folder,
-        stdout=subprocess.DEVNULL,
-    )
-    while not (folder / "running" / "evaluations.journal").exists():
-        time.sleep(0.05)
-    # Let the campaign find something; `watch` stops it before the page is measured.
-    time.sleep(1)
     arguments = [
         "explore",
         "paper-1",
         "found",
-        "running",
         "--controller",
         "baseline",
         "--out",
@@ -195,7 +185,6 @@ def drive(folder, crumple, tools, screenshots):
     browser = Browser(tools["chromedriver"], tools["chromium"])
     try:
         browser.set_view(1400, 1000, False)
-        watch(browser, address, running)
         measure(browser, address)
         draw(browser)
         find_and_save(browser, address, folder, run)
@@ -203,33 +192,10 @@ def drive(folder, crumple, tools, screenshots):
             show(browser, address, pathlib.Path(screenshots))
     finally:
         browser.end()
-        running.kill()
-        running.wait()
         server.send_signal(2)
         ended = server.wait(timeout=20)
     assert ended == 0, f"the server ends with {ended} at Ctrl-C"
     return 0
-
-
-def watch(browser, address, running):
-    """Checks that the evaluations of a running campaign grow."""
-    browser.open(address + "campaigns")
-    browser.script(
-        "const select = document.getElementById('campaign'); select.value = '1';"
-        "select.dispatchEvent(new Event('change', {bubbles: true}))"
-    )
-    count = (
-        "const m = /running, (\\d+) of/.exec(document.getElementById('words').textContent); return m ? Number(m[1]) : 0"
-    )
-    first = browser.wait("a running campaign", count)
-    later = browser.wait(
-        "more evaluations",
-        count.replace("return m ? Number(m[1]) : 0", "return m && Number(m[1]) > arguments[0] ? Number(m[1]) : 0"),
-        first,
-    )
-    browser.wait("a map", "return document.querySelectorAll('#maps a .cell').length > 5")
-    running.send_signal(19)
-    print(f"a running campaign: {first}, then {later} evaluations")
 
 
 def measure(browser, address):

@@ -100,7 +100,7 @@ impl ExploreConfig {
         }
         let campaigns = campaigns
             .into_iter()
-            .map(|folder| Ok(CatalogCampaign::new(folder.display().to_string(), CampaignReader::open(&folder)?)));
+            .map(|folder| Ok(CatalogCampaign { name: folder.display().to_string(), reader: CampaignReader::open(&folder)? }));
         let campaigns = campaigns.collect::<Result<Vec<_>, CampaignError>>()?;
         if controllers.is_empty() {
             controllers.extend(ControllerSpec::from_name(DEFAULT_CONTROLLER).map(NamedController::from));
@@ -120,9 +120,9 @@ impl ExploreConfig {
         }
         // Only built-in controllers of campaigns are added: a campaign must not add a command or file to the catalog.
         for campaign in &campaigns {
-            let name = campaign.lock_reader().controller().to_owned();
+            let name = campaign.reader.controller();
             if let (false, Some(Ok(spec))) =
-                (controllers.iter().any(|offered| offered.name == name), ControllerSpec::parse(&name))
+                (controllers.iter().any(|offered| offered.name == name), ControllerSpec::parse(name))
             {
                 controllers.push(spec.into());
             }

@@ -477,7 +477,6 @@
       byId(id).innerHTML = markup;
     };
     let later = 0;
-    let wasRunning = null;
     const look = latest('words', async () => {
       clearTimeout(later);
       const named = (id) => chosen(id) || null;
@@ -500,12 +499,6 @@
         setOptions('kind', state.kinds, [['', 'every kind']]);
         byId('words').replaceChildren(...state.words.map((line) => element('p', { class: 'told' }, line)));
         ['best', 'front', 'maps', 'distinct', 'failures'].forEach((id) => put(id, state[id]));
-        document.body.dataset.running = state.running;
-        document.body.dataset.loading = state.loading;
-        if (wasRunning === true && !state.running) byId('said').textContent = state.words.join('. ');
-        wasRunning = state.running;
-        if (state.loading) later = setTimeout(look, 0);
-        else if (state.running) later = setTimeout(look, 1500);
       } catch (error) {
         showError(error);
         later = setTimeout(look, 3000);

@@ -88,7 +88,7 @@ pub(crate) fn campaigns_page(offer: &Catalog) -> String {
     let content = html! {
         h1.unseen { "Campaigns" }
         @if offer.campaigns.is_empty() {
-            p { "No campaign was given. Start crumple with the folder of a finished or running campaign:" }
+            p { "No campaign was given. Start crumple with the folder of a campaign:" }
             p { code { "crumple explore runs/match-leader" } }
         } @else {
             form.filters id="filters" aria-label="Selection" {

@@ -7,13 +7,9 @@ use std::path::Path;
 use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
-use crumple_core::observer::Quiet;
 use crumple_explore::{CatalogScenario, ExploreConfig, Server};
-use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{built_in_scenario, file};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 use proptest::prelude::*;
@@ -253,34 +249,6 @@ fn a_request_that_does_not_arrive_in_time_is_ended() {
     let mut head = connect(port);
     head.write_all(b"POST / HTTP/1.1\r\nHost: ").unwrap();
     assert!(!read_response(&mut head).contains("200 OK"), "the connection ends");
-}
-
-/// Repeated requests: no later response shows a campaign without failures.
-#[test]
-fn a_damaged_campaign_is_an_error_in_every_answer() {
-    let campaign = Campaign {
-        estimator: EstimatorKind::Truth,
-        method: Method::Uniform,
-        budget: 40,
-        seed: 7,
-        ..Campaign::new(ControllerSpec::from_name("match-leader").unwrap(), built_in_space("high-risk").unwrap())
-    };
-    let folder = tempfile::tempdir().unwrap();
-    campaign.run(folder.path(), CampaignOptions::default(), &Quiet).unwrap();
-    let table = std::fs::read_dir(folder.path().join("evaluations")).unwrap().next().unwrap().unwrap().path();
-    let mut bytes = std::fs::read(&table).unwrap();
-    let middle = bytes.len() / 2;
-    bytes[middle] ^= 1;
-    std::fs::write(&table, bytes).unwrap();
-    let offer = ExploreConfig { campaigns: vec![folder.path().to_owned()], ..ExploreConfig::default() };
-    let (port, token) = start(Server::bind(0, offer).unwrap());
-    for (what, body) in
-        [("campaign", r#"{"campaign": 0}"#), ("open", r#"{"campaign": 0, "counterexample": 0}"#)].repeat(2)
-    {
-        let (status, answer) = post_at(port, &token, what, body.as_bytes());
-        let message = answer["error"]["message"].as_str().unwrap_or_default();
-        assert!(status == 500 && message.ends_with("has changed since it was written"), "{what}: {status}: {answer}");
-    }
 }
 
 #[test]

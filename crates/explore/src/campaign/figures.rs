@@ -95,10 +95,10 @@ fn best_so_far(one: &CampaignView<'_>, wanted: &Method) -> Vec<(f64, f64)> {
 
 /// Draws severity against likelihood.
 pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> Markup {
-    let fronts: Vec<_> = shown.iter().map(|one| (one, one.reader.front())).collect();
-    let points = || fronts.iter().flat_map(|(_, front)| front);
+    let fronts: Vec<_> = shown.iter().map(|one| (one, &one.reader.summary().front)).collect();
+    let points = || fronts.iter().flat_map(|(_, front)| *front);
     if points().next().is_none() {
-        return html! { p.hint { "No failure yet, so the Pareto front is empty." } };
+        return html! { p.hint { "No failure, so the Pareto front is empty." } };
     }
     let x = Axis::numeric("ln likelihood", pad_interval(extent(points().map(|point| point.ln_likelihood)), 0.06), 8);
     let y = Axis::numeric("", pad_interval(extent(points().map(|point| point.robustness).chain([0.0])), 0.06), 6);

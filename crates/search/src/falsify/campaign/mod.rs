@@ -21,7 +21,6 @@
 //! written to disk. Memory holds a few failures of each kind and those on the Pareto front.
 
 mod config;
-mod coverage;
 mod failures;
 mod findings;
 mod first_failure;
@@ -36,7 +35,6 @@ mod summary;
 mod table;
 
 pub use config::{CAMPAIGN_VERSION, Campaign, CampaignOptions, EvaluationLog};
-pub use coverage::CoveragePercentages;
 pub use failures::{FailureCandidate, FailureKind};
 pub use first_failure::FirstFailure;
 pub use front::FrontPoint;
@@ -45,7 +43,7 @@ pub use reader::{CampaignReader, MAX_READ_EVALUATIONS};
 pub(in crate::falsify) use resolved_config::ResolvedConfig;
 pub use run::{CAMPAIGN_KIND, CampaignProgress, verify_journal};
 pub use summary::{
-    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, CoverageSummary, FailureKindSummary, FailuresByMethod,
+    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary, FailuresByMethod,
     MethodSummary,
 };
 

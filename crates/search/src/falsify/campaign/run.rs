@@ -168,7 +168,7 @@ impl CampaignRun<'_> {
     ) -> Result<MethodResults, CampaignError> {
         let (terms, space) = (self.config, &self.config.space);
         let mut search = method.start(&terms.cube, terms.record.seed);
-        let mut reached = MethodResults::new(method.clone(), space.dimension());
+        let mut reached = MethodResults::new(method.clone());
         let budget = self.campaign.budget;
         while reached.evaluations < budget {
             let points = next_points(&mut *search, &method, terms, budget - reached.evaluations)?;

@@ -1,12 +1,11 @@
 //! Creation of a summary from findings.
 
 use super::CampaignError;
-use super::coverage::Coverage;
 use super::failures::FailureGroup;
 use super::findings::{CampaignFindings, MethodResults};
 use super::resolved_config::ResolvedConfig;
 use super::summary::{
-    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, CoverageSummary, FailureKindSummary, FailuresByMethod,
+    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary, FailuresByMethod,
     MethodSummary, SUMMARY_VERSION,
 };
 use crate::falsify::counterexample::Counterexample;
@@ -22,8 +21,6 @@ impl CampaignSummary {
     ) -> Result<Self, CampaignError> {
         let CampaignFindings { method_results: reached, failures } = findings;
         let record = &terms.record;
-        let mut all = Coverage::new(terms.space.dimension());
-        reached.iter().for_each(|reached| all.merge(&reached.coverage));
         let main = reached.first();
         Ok(Self {
             version: SUMMARY_VERSION,
@@ -44,10 +41,6 @@ impl CampaignSummary {
             falsified: reached.iter().any(|reached| reached.failures > 0),
             first_falsification: main.and_then(|reached| reached.first),
             best_robustness: main.and_then(|reached| finite_or_none(reached.best)),
-            coverage: CoverageSummary {
-                method: main.map(|reached| reached.coverage.percentages()),
-                with_reference_searches: all.percentages(),
-            },
             methods: reached.iter().map(MethodSummary::from_results).collect(),
             failures: failures
                 .by_frequency()

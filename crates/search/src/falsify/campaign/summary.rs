@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use super::{CampaignError, CoveragePercentages, FrontPoint, SearchObjective};
+use super::{CampaignError, FrontPoint, SearchObjective};
 use crate::confirmation::ReplayShare;
 use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
@@ -75,8 +75,6 @@ pub struct CampaignSummary {
     /// Pareto front of severity and likelihood over all failing evaluations, the severest first.
     #[serde(default)]
     pub front: Vec<FrontPoint>,
-    /// Coverage of the space.
-    pub coverage: CoverageSummary,
 }
 
 fn default_objective() -> String {
@@ -186,16 +184,6 @@ pub struct FailuresByMethod {
     pub count: u64,
     /// Number of its first failing evaluation, from 1.
     pub first: u64,
-}
-
-/// Coverage of the space.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct CoverageSummary {
-    /// Coverage by the requested method.
-    pub method: Option<CoveragePercentages>,
-    /// Coverage by all methods.
-    #[serde(alias = "with_yardsticks")]
-    pub with_reference_searches: CoveragePercentages,
 }
 
 const MAX_SHOWN_FRONT_POINTS: usize = 6;
@@ -348,16 +336,6 @@ impl CampaignSummary {
                 found.write(out, self.specification != Specification::NO_CONTACT)?;
             }
         }
-        self.write_front(out)?;
-        let covered = |covered: &CoveragePercentages| {
-            format!("{:.0} % and {:.0} %", covered.tenths_percent, covered.pairs_percent)
-        };
-        let method = self.coverage.method.as_ref().map_or("-".to_owned(), covered);
-        writeln!(
-            out,
-            "\n  coverage of tenths of single parameters and of pairs: {method} by {}, {} with the reference searches",
-            self.method,
-            covered(&self.coverage.with_reference_searches)
-        )
+        self.write_front(out)
     }
 }
