@@ -60,8 +60,7 @@ one lane: a result is no certification.
 Examples:
   crumple suite run fmvss-127 --controller acc-aeb --controller policy
   crumple suite run euro-ncap-2023 --controller idm --estimator truth --format junit
-  crumple suite run euro-ncap-2023 --controller full-throttle --out failures --format html \\
-    > euro-ncap.html
+  crumple suite run euro-ncap-2023 --controller full-throttle --out failures
   crumple suite run my-suite.toml --controller my-acc.toml --out failures --expect passed")]
 struct RunSuite {
     /// Built-in suite (see `crumple suite list`), or a file
@@ -148,8 +147,6 @@ pub(super) enum SuiteFormat {
     Json,
     /// JUnit XML for a build server
     Junit,
-    /// Self-contained page with the matrix and plots of the failures
-    Html,
 }
 
 impl SuiteCommand {
@@ -213,7 +210,7 @@ impl RunSuite {
         if let Some(folder) = &self.out {
             suite_folder::write(&result, folder, quiet)?;
         }
-        let text = render(&result, &self.controllers, self.out.as_deref(), self.format)?;
+        let text = render(&result, self.out.as_deref(), self.format)?;
         let has_failed =
             result.tests().any(|(_, test)| test.controllers.iter().any(|one| one.failures().next().is_some()));
         if has_failed && self.out.is_none() {
@@ -221,7 +218,7 @@ impl RunSuite {
         }
         let printed = match self.format {
             SuiteFormat::Text => output::print_coloured(super::simulate::OutputFormat::Text, &text),
-            SuiteFormat::Json | SuiteFormat::Junit | SuiteFormat::Html => output::print(&text),
+            SuiteFormat::Json | SuiteFormat::Junit => output::print(&text),
         };
         CliError::gate_first(self.check_expectation(&result), printed)
     }
@@ -245,7 +242,6 @@ impl RunSuite {
 
 fn render(
     result: &SuiteResult,
-    controllers: &[NamedController],
     out: Option<&Path>,
     format: SuiteFormat,
 ) -> Result<String, CliError> {
@@ -254,7 +250,6 @@ fn render(
     Ok(match format {
         SuiteFormat::Json => serde_json::to_string(result).map_err(CliError::input)? + "\n",
         SuiteFormat::Junit => suite::render_junit(result),
-        SuiteFormat::Html => suite::render_html(result, controllers, replay),
         SuiteFormat::Text => suite::render_text(result, replay),
     })
 }

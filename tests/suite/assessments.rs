@@ -14,7 +14,6 @@ use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_verify::{Certificate, Statement};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::scenario::file;
 use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as space_file};
 use crumple_world::sim::NamedController;
 
