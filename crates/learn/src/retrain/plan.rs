@@ -6,10 +6,9 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::files::{
-    PLAN, POLICY, REPORT_JSON, REPORT_MARKDOWN, REPORT_SVG, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET,
+    PLAN, POLICY, REPORT_JSON, REPORT_MARKDOWN, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET,
     scenarios_sha256, space_sha256,
 };
-use super::report::RetrainingReport;
 use super::{RetrainError, SearchedSpaces};
 use crumple_store::run_folder::{RunFolder, RunFolderOptions};
 
@@ -47,8 +46,6 @@ pub struct RetrainingPlan {
     pub seed: u64,
     /// Sizes of all parts.
     pub settings: RetrainingSettings,
-    /// Function that renders the figure of the report as SVG.
-    pub render_svg: fn(&RetrainingReport) -> String,
 }
 
 /// Sizes of the parts of a retraining.
@@ -243,7 +240,6 @@ impl RetrainingPlan {
                 TEST_SET,
                 REPORT_JSON,
                 REPORT_MARKDOWN,
-                REPORT_SVG,
                 "rounds/",
             ],
         };

@@ -355,9 +355,7 @@ impl AssessmentReport {
         let failures = self.searches.failures().flat_map(DistinctFailure::files);
         let of_suites = self.suites.iter().flat_map(Suites::files);
         let mut all: Vec<_> = texts.chain(failures).chain(of_suites).chain(needed).collect();
-        // Exports to other simulators can be generated from the counterexamples, so a stored report may omit them.
-        let is_kept = |(name, _): &&(String, Vec<u8>)| !name.ends_with(".xosc") && !name.ends_with(".xodr");
-        let contents = all.iter().filter(is_kept).map(|(name, contents)| (name.as_str(), contents.as_slice()));
+        let contents = all.iter().map(|(name, contents)| (name.as_str(), contents.as_slice()));
         let manifest = manifest_text(REPORT_KIND, &self.provenance.config_sha256, contents)?;
         all.push((MANIFEST_FILE.to_owned(), manifest.into_bytes()));
         Ok(all)
