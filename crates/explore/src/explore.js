@@ -498,7 +498,7 @@
         setOptions('method', state.methods, [['', 'every method']]);
         setOptions('kind', state.kinds, [['', 'every kind']]);
         byId('words').replaceChildren(...state.words.map((line) => element('p', { class: 'told' }, line)));
-        ['best', 'front', 'maps', 'distinct', 'failures'].forEach((id) => put(id, state[id]));
+        ['best', 'maps', 'distinct', 'failures'].forEach((id) => put(id, state[id]));
       } catch (error) {
         showError(error);
         later = setTimeout(look, 3000);

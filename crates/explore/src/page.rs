@@ -111,7 +111,7 @@ pub(crate) fn campaigns_page(offer: &Catalog) -> String {
             p.bad id="error" role="alert" hidden {}
             div id="words" {}
             p.unseen id="said" role="status" {}
-            div.pair { div id="best" {} div id="front" {} }
+            div id="best" {}
             section { h2 { "Where it fails" }
                 p.hint { "Green: no evaluation fails. Crossed: some fail. Red with a number: all fail. Blank: no \
                 evaluation. Each cell links to its worst scenario." }

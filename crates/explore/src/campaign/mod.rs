@@ -50,7 +50,6 @@ pub(crate) struct CampaignResponse {
     methods: Vec<String>,
     kinds: Vec<String>,
     best: String,
-    front: String,
     maps: String,
     distinct: String,
     failures: String,
@@ -107,7 +106,6 @@ pub(crate) fn show_campaigns(
         y_parameter: name(y),
         methods: look.methods().iter().map(Method::to_string).collect(),
         best: escape_markup(figures::best_robustness_figure(&shown, request.narrow)),
-        front: escape_markup(figures::pareto_front_figure(&shown, request.narrow)),
         maps: escape_markup(maps),
         distinct: escape_markup(
             shown.iter().map(distinct_failures_table).fold(html! {}, |before, next| html! { (before) (next) }),

@@ -47,7 +47,6 @@ impl CampaignSummary {
                 .into_iter()
                 .map(|kind| FailureKindSummary::from_failures(kind, terms, &counterexamples))
                 .collect(),
-            front: failures.front.points(&terms.specification, &terms.nominal),
             avoidability: AvoidabilitySummary::from_counterexamples(&counterexamples),
             multi_body: ConfirmationSummary::from_counterexamples(&counterexamples),
             counterexamples,
