@@ -21,7 +21,7 @@ pub(super) struct OpenScenarioArgs {
     /// Vehicle under test of an OpenSCENARIO file [default: the only entity with a controller]
     #[arg(long, value_name = "NAME")]
     ego: Option<String>,
-    /// Values of the parameters of an OpenSCENARIO file: writes a scenario for each combination, or a space
+    /// Values of the parameters of an OpenSCENARIO file: writes a scenario for each combination
     #[arg(long, value_name = "D.xosc")]
     distribution: Option<PathBuf>,
 }

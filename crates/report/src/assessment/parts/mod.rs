@@ -5,7 +5,6 @@ mod argument;
 mod certificates;
 mod comparison;
 mod distinct_failure;
-mod exposure;
 mod failure_searches;
 mod file_scenarios;
 mod glossary;
