@@ -240,11 +240,7 @@ impl RunSuite {
     }
 }
 
-fn render(
-    result: &SuiteResult,
-    out: Option<&Path>,
-    format: SuiteFormat,
-) -> Result<String, CliError> {
+fn render(result: &SuiteResult, out: Option<&Path>, format: SuiteFormat) -> Result<String, CliError> {
     let replay =
         |failed: &FailedPoint, tested: &ControllerResult| replay_command(out?, failed, tested, result.estimator);
     Ok(match format {

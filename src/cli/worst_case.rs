@@ -11,8 +11,8 @@ use super::{CliError, args, value_enums};
 use crumple_core::observer::Quiet;
 use crumple_core::quoting::TerminalText;
 use crumple_search::worst_case::{
-    AttackError, AttackObjective, AttackReport, Envelope, FaultKindResult, MildestFault,
-    SensorAttackResult, SensorFailure, attack, attack_sensors,
+    AttackError, AttackObjective, AttackReport, Envelope, FaultKindResult, MildestFault, SensorAttackResult,
+    SensorFailure, attack, attack_sensors,
 };
 use crumple_store::disk::StagedFiles;
 use crumple_world::observation::EstimatorKind;
@@ -26,8 +26,9 @@ found, in steps of 0.1 s: crumple simulates pulses and ramps and improves the be
 programming along rollouts. crumple simulates the profile before it reports it, with the prediction of the last \
 program.
 
---budget ends the search between its rounds of about 30 simulations each. The search always scans pulses and ramps (40 for a budget below 400, 112 below 2000, otherwise 864) and, if one collides, makes \
-at most 144 simulations to find milder ones. If the budget is exceeded, the output says so.
+--budget ends the search between its rounds of about 30 simulations each. The search always scans pulses and ramps (40 \
+for a budget below 400, 112 below 2000, otherwise 864) and, if one collides, makes at most 144 simulations to find \
+milder ones. If the budget is exceeded, the output says so.
 
 --attack sensors searches for the mildest sensor fault instead. Each kind of fault is scaled from none to a limit, \
 which the output states: 20 shares of the limit, then bisection to a thousandth. The mildest fault that causes a \

@@ -98,9 +98,9 @@ impl ExploreConfig {
         if let Some(path) = save_folder.as_ref().filter(|path| !path.is_dir()) {
             return Err(ExploreConfigError::SaveFolder { path: path.clone() });
         }
-        let campaigns = campaigns
-            .into_iter()
-            .map(|folder| Ok(CatalogCampaign { name: folder.display().to_string(), reader: CampaignReader::open(&folder)? }));
+        let campaigns = campaigns.into_iter().map(|folder| {
+            Ok(CatalogCampaign { name: folder.display().to_string(), reader: CampaignReader::open(&folder)? })
+        });
         let campaigns = campaigns.collect::<Result<Vec<_>, CampaignError>>()?;
         if controllers.is_empty() {
             controllers.extend(ControllerSpec::from_name(DEFAULT_CONTROLLER).map(NamedController::from));

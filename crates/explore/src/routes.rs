@@ -126,9 +126,7 @@ impl Application {
         let scenario = match (counterexample, evaluation) {
             (Some(place), None) => {
                 let found = look.counterexample(place).map_err(campaign::campaign_error)?;
-                found.ok_or_else(|| {
-                    RequestError::invalid("counterexample", "the campaign has no such failure")
-                })?
+                found.ok_or_else(|| RequestError::invalid("counterexample", "the campaign has no such failure"))?
             }
             (None, Some(place)) => {
                 let found = look.evaluations().get(place);

@@ -190,7 +190,10 @@ fn every_toml_file_beside_counterexamples_is_a_scenario() {
 fn an_aim_at_likely_failures_finds_likelier_ones() {
     let folder = temp_folder();
     let likeliest = |aim: &str| {
-        run_ok(folder.path(), &format!("falsify --controller baseline --space paper --budget 60 --aim {aim} --out {aim}"));
+        run_ok(
+            folder.path(),
+            &format!("falsify --controller baseline --space paper --budget 60 --aim {aim} --out {aim}"),
+        );
         let table = folder.path().join(aim).join("evaluations/part-00000.csv.gz");
         let mut reader = csv::Reader::from_reader(GzDecoder::new(fs::File::open(table).unwrap()));
         let columns = reader.headers().unwrap().clone();

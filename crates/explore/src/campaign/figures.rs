@@ -1,9 +1,8 @@
 //! Figures of campaigns in the style of reports; their marks link to scenarios.
 
 use crumple_report::draw::{
-    Anchor, Axis, BOTTOM_MARGIN, CellStyle, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, PixelRect,
-    SMALL_TEXT_SIZE, Stroke, Svg, draw_cells, draw_legend, draw_text, extent, format_number, pad_interval,
-    text_width,
+    Anchor, Axis, BOTTOM_MARGIN, CellStyle, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, PixelRect, SMALL_TEXT_SIZE,
+    Stroke, Svg, draw_cells, draw_legend, draw_text, extent, format_number, pad_interval, text_width,
 };
 use crumple_search::falsify::Method;
 use maud::{Markup, html};

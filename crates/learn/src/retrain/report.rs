@@ -134,9 +134,7 @@ impl RetrainingReport {
 
     pub(super) fn write_files(&self, work: &RunFolder) -> Result<(), RetrainError> {
         let mut changes = work.transaction();
-        changes
-            .write(REPORT_MARKDOWN, self.to_markdown())
-            .write(REPORT_JSON, to_json(self)?);
+        changes.write(REPORT_MARKDOWN, self.to_markdown()).write(REPORT_JSON, to_json(self)?);
         Ok(changes.commit()?)
     }
 

@@ -46,8 +46,8 @@ pub use parts::{
     FailureSearches, FileScenarios, FirstPage, Glossary, GsnElement, GsnElementKind, HarmGroup, HarmReport, KernelGap,
     LimitingAssumption, MAX_EVIDENCE_BYTES, MethodResult, NameExplanation, PairedCounts, PaperScenarios,
     ParameterDescription, PercentInterval, Proofs, RunInfo, SafetyAnswer, ScenarioCases, SpaceDescription,
-    SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches, StringStabilityVerdict, SuiteFailure, SuiteFindings, SuiteOutcome,
-    SuiteTest, Suites, UsefulnessReport,
+    SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches, StringStabilityVerdict, SuiteFailure, SuiteFindings,
+    SuiteOutcome, SuiteTest, Suites, UsefulnessReport,
 };
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;

@@ -39,8 +39,7 @@ mod sensor_attack;
 mod sequential;
 
 pub use attack::{
-    Attack, AttackError, AttackObjective, AttackResult, Envelope, MAX_TOTAL_VEHICLE_STEPS,
-    MAX_VEHICLE_STEPS, attack,
+    Attack, AttackError, AttackObjective, AttackResult, Envelope, MAX_TOTAL_VEHICLE_STEPS, MAX_VEHICLE_STEPS, attack,
 };
 pub use avoid::{AvoidError, AvoidOptions, MAX_EGO_STEPS, MAX_EGOS, avoid, certify};
 pub use avoidance::{Avoidance, AvoidanceVerdict, Optimality};

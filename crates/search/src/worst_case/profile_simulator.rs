@@ -72,11 +72,7 @@ impl<'a> ProfileSimulator<'a> {
         Ok(trials)
     }
 
-    pub(super) fn report(
-        &mut self,
-        cells_mps2: &[f64],
-        predicted_margin_m: f64,
-    ) -> Result<Attack, AttackError> {
+    pub(super) fn report(&mut self, cells_mps2: &[f64], predicted_margin_m: f64) -> Result<Attack, AttackError> {
         let scenario = self.with_leader_script(cells_mps2)?.edited(|spec| {
             spec.name = format!("{}-worst", spec.name.chars().take(190).collect::<String>());
             spec.about = format!("A lead braking found by convex programming from {}.", self.scenario.spec().name);

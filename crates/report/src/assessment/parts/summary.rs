@@ -4,10 +4,7 @@ use maud::html;
 use serde::Serialize;
 
 use super::certificates::{describe_estimator, kernel_domain, shield_kernels};
-use super::{
-    FailureSearches, FileScenarios, PaperScenarios, Proofs, SpaceSamples, Suites,
-    UsefulnessReport,
-};
+use super::{FailureSearches, FileScenarios, PaperScenarios, Proofs, SpaceSamples, Suites, UsefulnessReport};
 use crate::assessment::claims::{AssuranceClaim, ClaimStatus, ContentId, Domain, InferenceRule, Ledger, Property};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::table::{ReportCell, ReportTable};
@@ -314,4 +311,5 @@ impl ReportPart for ClaimSummary {
 
 const LEGEND: &str = "✓ supported, ✗ refuted, – not claimed. A cell gives the failures of the runs (`0 of 1000`), the \
     failures of both controllers in the same runs (`0 against 1000`), bounds of a rate with their confidence level \
-    (`≤ 0.24 % (99.9 %)`), or the distinct failures of a search. A proof holds under the assumptions in the section \"Proofs\".";
+    (`≤ 0.24 % (99.9 %)`), or the distinct failures of a search. A proof holds under the assumptions in the section \
+    \"Proofs\".";

@@ -33,14 +33,7 @@ pub(super) struct CampaignFindings {
 
 impl MethodResults {
     pub(super) fn new(method: Method) -> Self {
-        Self {
-            method,
-            evaluations: 0,
-            first: None,
-            failures: 0,
-            best: f64::INFINITY,
-            other_unanswered: None,
-        }
+        Self { method, evaluations: 0, first: None, failures: 0, best: f64::INFINITY, other_unanswered: None }
     }
 
     pub(super) fn add(&mut self, evaluated: &EvaluatedPoint, fails: bool) {

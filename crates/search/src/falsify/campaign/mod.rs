@@ -41,8 +41,7 @@ pub use reader::{CampaignReader, MAX_READ_EVALUATIONS};
 pub(in crate::falsify) use resolved_config::ResolvedConfig;
 pub use run::{CAMPAIGN_KIND, CampaignProgress, verify_journal};
 pub use summary::{
-    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary, FailuresByMethod,
-    MethodSummary,
+    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary, FailuresByMethod, MethodSummary,
 };
 
 use crumple_core::observer::Stopped;

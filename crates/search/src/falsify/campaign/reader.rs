@@ -150,11 +150,7 @@ impl CampaignReader {
 }
 
 fn other_kind(folder: &Path, found: String) -> RunFolderError {
-    RunFolderError::OtherKind {
-        path: folder.join(run_folder::MANIFEST_FILE),
-        found,
-        kind: CAMPAIGN_KIND.to_owned(),
-    }
+    RunFolderError::OtherKind { path: folder.join(run_folder::MANIFEST_FILE), found, kind: CAMPAIGN_KIND.to_owned() }
 }
 
 #[cfg(test)]

@@ -5,8 +5,8 @@ use super::failures::FailureGroup;
 use super::findings::{CampaignFindings, MethodResults};
 use super::resolved_config::ResolvedConfig;
 use super::summary::{
-    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary, FailuresByMethod,
-    MethodSummary, SUMMARY_VERSION,
+    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary, FailuresByMethod, MethodSummary,
+    SUMMARY_VERSION,
 };
 use crate::falsify::counterexample::Counterexample;
 use crumple_core::digest::sha256;

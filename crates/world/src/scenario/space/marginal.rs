@@ -280,8 +280,8 @@ impl CoordinateMarginal {
 #[cfg(test)]
 mod tests {
     use super::super::spec::{
-        ChoiceSpec, DistributionSpec, LogNormalSpec, NormalSpec, ParameterValue, PointMassSpec,
-        ShapeScaleSpec, UniformSpec,
+        ChoiceSpec, DistributionSpec, LogNormalSpec, NormalSpec, ParameterValue, PointMassSpec, ShapeScaleSpec,
+        UniformSpec,
     };
     use super::CoordinateMarginal;
     use proptest::prelude::*;

@@ -78,8 +78,8 @@ pub use copula::{Dependence, GaussianCopula};
 pub use observed::{DrivingExposure, ObservedData, ObservedParameter, SourceExposure};
 pub use parameter_distribution::ParameterDistribution;
 pub use spec::{
-    Base, ChoiceSpec, DistributionSpec, DriverName, LogNormalSpec, NormalSpec, ParameterSpec,
-    ParameterValue, PointMassSpec, SPACE_VERSION, ShapeScaleSpec, SpaceSpec, UniformSpec,
+    Base, ChoiceSpec, DistributionSpec, DriverName, LogNormalSpec, NormalSpec, ParameterSpec, ParameterValue,
+    PointMassSpec, SPACE_VERSION, ShapeScaleSpec, SpaceSpec, UniformSpec,
 };
 
 use self::copula::Copula;
