@@ -167,15 +167,12 @@ def drive(folder, crumple, tools, screenshots):
 
     search = ["falsify", "--controller", "match-leader", "--space", "high-risk"]
     run(*search, "--budget", "300", "--out", "found")
-    (folder / "saved").mkdir()
     arguments = [
         "explore",
         "paper-1",
         "found",
         "--controller",
         "baseline",
-        "--out",
-        "saved",
         "--format",
         "json",
         "--quiet",
@@ -187,7 +184,7 @@ def drive(folder, crumple, tools, screenshots):
         browser.set_view(1400, 1000, False)
         measure(browser, address)
         draw(browser)
-        find_and_save(browser, address, folder, run)
+        find_and_download(browser, address, folder, run)
         if screenshots:
             show(browser, address, pathlib.Path(screenshots))
     finally:
@@ -237,8 +234,8 @@ def draw(browser):
     final_verdict(browser)
 
 
-def find_and_save(browser, address, folder, run):
-    """Checks that a campaign's failure, edited and saved, gives the same collision on the command line."""
+def find_and_download(browser, address, folder, run):
+    """Checks that a campaign's failure, edited and downloaded, gives the same collision on the command line."""
     browser.open(address + "campaigns")
     browser.wait("failures", "return document.querySelector('#distinct a')")
     cells = browser.script("return document.querySelectorAll('#maps a .cell').length")
@@ -250,15 +247,20 @@ def find_and_save(browser, address, folder, run):
     browser.drag("#slide-speed-1", [(0.5, 0.5), (0.55, 0.5)])
     shown = final_verdict(browser)
     browser.script("document.getElementById('name').value = '../dragged: \"a failure\"'")
-    browser.click("#save")
-    status = browser.wait("the path of the file", "return document.getElementById('saved').textContent")
-    files = list((folder / "saved").iterdir())
-    assert len(files) == 1 and files[0].name == "dragged-a-failure.toml", (files, status)
-    repeated = json.loads(run("simulate", str(files[0]), "--controller", "match-leader", "--format", "json"))
+    browser.script(
+        "URL.createObjectURL = (blob) => { blob.text().then((text) => { window.downloaded = text; }); return '#'; };"
+    )
+    browser.click("#download")
+    text = browser.wait("the text of the file", "return window.downloaded")
+    status = browser.wait("a command", "return document.getElementById('saved').textContent")
+    assert "crumple simulate dragged-a-failure.toml --controller match-leader" in status, status
+    file = folder / "dragged-a-failure.toml"
+    file.write_text(text)
+    repeated = json.loads(run("simulate", str(file), "--controller", "match-leader", "--format", "json"))
     contact = repeated["outcome"].get("time_s")
     expected = None if shown.get("contact") is None else float(shown["contact"])
     assert contact == expected, (repeated["outcome"], shown)
-    print(f"saved and repeated: contact at {contact} s in both")
+    print(f"downloaded and repeated: contact at {contact} s in both")
 
 
 def show(browser, address, folder):

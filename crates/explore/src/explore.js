@@ -422,31 +422,23 @@
       }
       button.disabled = false;
     });
-    const save = async (to_folder) => {
+    const download = async () => {
       const status = byId('saved');
       try {
         const saved = await ask('save', {
           what: request(),
           controller: chosen()[0],
           estimator: byId('estimator').value,
-          to_folder,
         });
-        if (!to_folder) {
-          const address = URL.createObjectURL(new Blob([saved.toml], { type: 'application/toml' }));
-          element('a', { href: address, download: saved.file_name }).click();
-          setTimeout(() => URL.revokeObjectURL(address), 10_000);
-        }
-        status.replaceChildren(
-          saved.path ? `Saved as ${saved.path}. ` : '',
-          'Repeat with ',
-          element('code', {}, saved.command),
-        );
+        const address = URL.createObjectURL(new Blob([saved.toml], { type: 'application/toml' }));
+        element('a', { href: address, download: saved.file_name }).click();
+        setTimeout(() => URL.revokeObjectURL(address), 10_000);
+        status.replaceChildren('Repeat with ', element('code', {}, saved.command));
       } catch (error) {
         status.replaceChildren(element('span', { class: 'bad' }, error.message));
       }
     };
-    byId('save')?.addEventListener('click', () => save(true));
-    byId('download').addEventListener('click', () => save(false));
+    byId('download').addEventListener('click', download);
     byId('controls').addEventListener('submit', (event) => event.preventDefault());
 
     const keys = ['scenario', 'campaign', 'counterexample', 'evaluation'].filter((key) =>

@@ -63,7 +63,6 @@ pub(crate) fn scenario_page(offer: &Catalog) -> String {
                 }
                 label { "Name " input type="text" id="name" maxlength="200" autocomplete="off"; }
                 div.buttons {
-                    @if offer.save_folder.is_some() { button type="button" id="save" { "Save" } }
                     button type="button" id="download" { "Download" }
                     button type="button" id="reset" { "Begin anew" }
                 }
