@@ -14,7 +14,6 @@ use crumple_suites::{
 };
 use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 
 /// Run suites of tests that are modelled on regulations
@@ -31,11 +30,6 @@ enum SuiteSubcommand {
         /// Output format
         #[arg(long, value_enum, default_value = "text")]
         format: super::simulate::OutputFormat,
-    },
-    /// Print the file of a suite
-    Show {
-        /// Built-in suite, or a file
-        suite: String,
     },
     Run(RunSuite),
     Table(SuiteTable),
@@ -153,7 +147,6 @@ impl SuiteCommand {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         match self.command {
             SuiteSubcommand::List { format } => list_suites(format),
-            SuiteSubcommand::Show { suite } => show_suite(&suite),
             SuiteSubcommand::Run(command) => command.run(quiet),
             SuiteSubcommand::Table(command) => command.run(),
         }
@@ -189,15 +182,6 @@ fn list_suites(format: super::simulate::OutputFormat) -> Result<(), CliError> {
     }
     let all = serde_json::json!({ "statement": DISCLAIMER, "suites": suites, "not_shipped": absent });
     output::print_result(format, &all, || format!("{text}{DISCLAIMER}\n"))
-}
-
-fn show_suite(name: &str) -> Result<(), CliError> {
-    find_suite(name)?;
-    let text = match SHIPPED_SUITES.iter().find(|(shipped, _)| *shipped == name) {
-        Some((_, text)) => (*text).to_owned(),
-        None => file::read(Path::new(name))?,
-    };
-    output::print(&format!("# {DISCLAIMER}\n{text}"))
 }
 
 impl RunSuite {
