@@ -51,11 +51,8 @@ struct Address {
 
 impl Explore {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        let mut offer = ExploreConfig {
-            controllers: self.controller,
-            estimator: self.estimator,
-            ..ExploreConfig::default()
-        };
+        let mut offer =
+            ExploreConfig { controllers: self.controller, estimator: self.estimator, ..ExploreConfig::default() };
         let page = if self.what.first().is_some_and(|first| Path::new(first).is_dir()) { "campaigns" } else { "" };
         for name in self.what {
             if Path::new(&name).is_dir() {

@@ -56,7 +56,8 @@ mod tests {
             let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| spec.name = name.clone()).unwrap();
             let saved = SaveResponse::new(&scenario, "idm", "truth").unwrap();
             let stem = saved.file_name.strip_suffix(".toml").unwrap();
-            prop_assert!(!stem.is_empty() && stem.chars().all(|letter| letter.is_ascii_alphanumeric() || letter == '-'));
+            let is_plain = |letter: char| letter.is_ascii_alphanumeric() || letter == '-';
+            prop_assert!(!stem.is_empty() && stem.chars().all(is_plain));
             prop_assert_eq!(file::from_toml(&saved.toml, Path::new(&saved.file_name)).unwrap(), scenario);
         }
     }
