@@ -142,11 +142,4 @@ run simulate counterexamples/high-risk/road/09-2-hits-1.toml --controller road -
 run simulate counterexamples/high-risk/road/09-2-hits-1-escape.toml --expect safe
 run simulate counterexamples/high-risk/road/10-2-hits-1.toml --controller road --expect collision
 run simulate counterexamples/high-risk/road/10-2-hits-1-escape.toml --expect safe
-run worst-case paper-1 --controller baseline
-run worst-case paper-1 --controller idm
-run worst-case paper-1 --controller acc-aeb
-run worst-case paper-1 --controller predictive
-run worst-case paper-1 --controller policy
-run worst-case paper-1 --controller shield:policy
-run worst-case paper-1 --controller road
 exit $failed

@@ -35,8 +35,7 @@ pub fn end_to_end(say: &mut dyn FnMut(Measurement)) {
         let start_s = wall_time_s();
         campaign.run(&at, CampaignOptions::default(), &Quiet).expect("runs");
         let each_s = (wall_time_s() - start_s) / (2 * BUDGET) as f64;
-        let mut look = CampaignReader::open(&at).expect("is there");
-        while look.evaluations().len() < RESIMULATED && look.poll(RESIMULATED).expect("is whole") {}
+        let look = CampaignReader::open(&at).expect("is there");
         let scenario = |values: &[f64]| look.scenario(values).expect("was run");
         let scenarios: Vec<Scenario> =
             look.evaluations()[..RESIMULATED].iter().map(|(_, evaluated)| scenario(&evaluated.values)).collect();

@@ -22,15 +22,14 @@ use crumple_store::run_folder;
 #[command(after_long_help = "\
 Without a file, `assess` evaluates baseline, baseline-unlatched, match-leader, constant-brake, idm, acc-aeb, policy, \
 shield:policy and retrained. It simulates the paper's scenarios and 1000 random scenarios of the paper's \
-distribution, searches for failures, and finds the mildest braking of the leader that makes each controller collide \
-(see worst-case). For each scenario it finds the best escape (see avoid), and it checks all certificates. A file \
-configures more:
+distribution, and searches for failures. For each scenario it finds the best escape (see avoid), and it checks all \
+certificates. A file configures more:
 
   version = 1
   controllers = [\"baseline\", \"policy\"]   # the first is compared with all others
   subject = \"policy\"                       # the safety case is about this controller
   estimator = \"kalman\"
-  # false omits the paper's scenarios, profiles, training and space
+  # false omits the paper's scenarios and space
   paper = true
   distributions = [\"paper\"]               # spaces in which failures are counted
   draws = 1000                             # random scenarios of each of these spaces
@@ -99,7 +98,6 @@ impl Assess {
                 let plan = AssessmentPlan::load(path)?;
                 let notes = plan.controllers().iter().flat_map(args::controller_notes);
                 notes.for_each(|note| output::note(&note, quiet));
-                plan.warnings().for_each(|warning| output::note(&format!("warning: {warning}"), quiet));
                 plan
             }
         };

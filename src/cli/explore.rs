@@ -1,6 +1,6 @@
 //! `crumple explore`: scenarios and campaigns in the browser.
 
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
 use clap::Args;
 use crumple_explore::{CatalogScenario, ExploreConfig, ServeError, Server};
@@ -12,20 +12,19 @@ use crumple_store::disk::DiskError;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 
-/// Explore scenarios interactively in a browser and follow running campaigns
+/// Explore scenarios and campaigns interactively in a browser
 #[derive(Args)]
 #[command(after_long_help = "\
 Prints an address for the browser of this machine and serves it until Ctrl-C, only on 127.0.0.1 and only to requests \
 with the token in that address. The page loads nothing from other servers. A request may have 1 MiB and 400 000 \
-vehicles times steps over its controllers; the page shows the first 200 000 evaluations of a campaign. Saved \
-scenarios get new names and replace no file.
+vehicles times steps over its controllers; the page shows the first 200 000 evaluations of a campaign.
 
 Examples:
   crumple explore
-  crumple explore my-scenario.toml --controller baseline --controller policy --out drawn
+  crumple explore my-scenario.toml --controller baseline --controller policy
   crumple explore runs/match-leader runs/idm")]
 pub(super) struct Explore {
-    /// Initial scenarios, built-in or files, and folders of campaigns (`crumple falsify --out`), finished or running.
+    /// Initial scenarios, built-in or files, and folders of complete campaigns (`crumple falsify --out`).
     /// The browser shows the first one
     #[arg(value_name = "SCENARIO|CAMPAIGN")]
     what: Vec<String>,
@@ -38,9 +37,6 @@ pub(super) struct Explore {
     /// Initial estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
-    /// Folder in which scenarios can be saved, in addition to downloads
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
     /// Output format of the address: text, or one JSON object
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
@@ -55,12 +51,8 @@ struct Address {
 
 impl Explore {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        let mut offer = ExploreConfig {
-            controllers: self.controller,
-            estimator: self.estimator,
-            save_folder: self.out,
-            ..ExploreConfig::default()
-        };
+        let mut offer =
+            ExploreConfig { controllers: self.controller, estimator: self.estimator, ..ExploreConfig::default() };
         let page = if self.what.first().is_some_and(|first| Path::new(first).is_dir()) { "campaigns" } else { "" };
         for name in self.what {
             if Path::new(&name).is_dir() {

@@ -13,7 +13,7 @@ use crumple_core::quoting::TerminalText;
 use crumple_world::openscenario::{
     ImportedLaneScenario, OpenScenarioSource, ParameterDistributionFile, ScenarioImportError, Variation,
 };
-use crumple_world::scenario::{Scenario, file, space};
+use crumple_world::scenario::{Scenario, file};
 
 /// Options of OpenSCENARIO files.
 #[derive(Args)]
@@ -21,7 +21,7 @@ pub(super) struct OpenScenarioArgs {
     /// Vehicle under test of an OpenSCENARIO file [default: the only entity with a controller]
     #[arg(long, value_name = "NAME")]
     ego: Option<String>,
-    /// Values of the parameters of an OpenSCENARIO file: writes a scenario for each combination, or a space
+    /// Values of the parameters of an OpenSCENARIO file: writes a scenario for each combination
     #[arg(long, value_name = "D.xosc")]
     distribution: Option<PathBuf>,
 }
@@ -70,13 +70,7 @@ impl OpenScenarioArgs {
             }
             Some(distribution) => {
                 let distributions = ParameterDistributionFile::load(distribution, path)?;
-                if distributions.is_random() {
-                    let (space, notes) = source.space(ego, &distributions)?;
-                    let text = space::file::to_toml(&space).map_err(CliError::input)?;
-                    (vec![(format!("{}-space.toml", export::file_stem(space.name())), text.into_bytes())], 0, notes)
-                } else {
-                    import_variations(&source, ego, &distributions.variations()?)?
-                }
+                import_variations(&source, ego, &distributions.variations()?)?
             }
         };
         OutputFolder::without_listing(out, force).write(&files, EarlierFiles::Keep)?;

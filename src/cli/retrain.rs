@@ -16,11 +16,10 @@ use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, output, progress};
 use crumple_core::observer::Listener;
 use crumple_learn::retrain::{
-    Checkpoint, RetrainError, RetrainingPlan, RetrainingProgress, RetrainingReport, RetrainingSettings, Round,
-    SearchedSpaces, training_preset,
+    RetrainError, RetrainingPlan, RetrainingProgress, RetrainingReport, RetrainingSettings, SearchedSpaces,
+    training_preset,
 };
 use crumple_learn::rl::TrainingConfig;
-use crumple_report::figures::{RetrainingRound, SelectedCheckpoint, draw_retraining};
 use crumple_search::falsify::Method;
 use crumple_world::sim::NamedController;
 
@@ -167,7 +166,6 @@ impl Retrain {
                 test_draws: self.test_draws,
                 ..settings
             },
-            render_svg: render_report_figure,
         };
         let out = self.out.display();
         interrupt::set_resume_message("the results so far are in", &self.out, quiet);
@@ -193,26 +191,6 @@ fn with_preset_name(error: RetrainError, preset: &str) -> RetrainError {
         }
         other => other,
     }
-}
-
-fn render_report_figure(report: &RetrainingReport) -> String {
-    let round = |round: &Round| {
-        let trained = &round.training;
-        let checkpoint = |checkpoint: &Checkpoint| {
-            Some(SelectedCheckpoint {
-                episode: checkpoint.episode.saturating_sub(trained.from_episode),
-                contacts: checkpoint.contacts?,
-                is_candidate: checkpoint.episode == trained.best_episode,
-            })
-        };
-        RetrainingRound {
-            // An imitation has no episodes; its rounds still need a place on the axis.
-            episodes: report.settings.episodes.max(1),
-            checkpoints: trained.checkpoints.iter().filter_map(checkpoint).collect(),
-            is_accepted: round.acceptance.is_accepted(),
-        }
-    };
-    draw_retraining(&report.rounds.iter().map(round).collect::<Vec<_>>()).document()
 }
 
 fn check_accepted(report: &RetrainingReport) -> Result<(), CliError> {

@@ -14,7 +14,6 @@ use crumple_suites::{
 };
 use crumple_world::control::{ControllerSpec, Role};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::file;
 use crumple_world::sim::NamedController;
 
 /// Run suites of tests that are modelled on regulations
@@ -31,11 +30,6 @@ enum SuiteSubcommand {
         /// Output format
         #[arg(long, value_enum, default_value = "text")]
         format: super::simulate::OutputFormat,
-    },
-    /// Print the file of a suite
-    Show {
-        /// Built-in suite, or a file
-        suite: String,
     },
     Run(RunSuite),
     Table(SuiteTable),
@@ -60,8 +54,7 @@ one lane: a result is no certification.
 Examples:
   crumple suite run fmvss-127 --controller acc-aeb --controller policy
   crumple suite run euro-ncap-2023 --controller idm --estimator truth --format junit
-  crumple suite run euro-ncap-2023 --controller full-throttle --out failures --format html \\
-    > euro-ncap.html
+  crumple suite run euro-ncap-2023 --controller full-throttle --out failures
   crumple suite run my-suite.toml --controller my-acc.toml --out failures --expect passed")]
 struct RunSuite {
     /// Built-in suite (see `crumple suite list`), or a file
@@ -148,15 +141,12 @@ pub(super) enum SuiteFormat {
     Json,
     /// JUnit XML for a build server
     Junit,
-    /// Self-contained page with the matrix and plots of the failures
-    Html,
 }
 
 impl SuiteCommand {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         match self.command {
             SuiteSubcommand::List { format } => list_suites(format),
-            SuiteSubcommand::Show { suite } => show_suite(&suite),
             SuiteSubcommand::Run(command) => command.run(quiet),
             SuiteSubcommand::Table(command) => command.run(),
         }
@@ -194,15 +184,6 @@ fn list_suites(format: super::simulate::OutputFormat) -> Result<(), CliError> {
     output::print_result(format, &all, || format!("{text}{DISCLAIMER}\n"))
 }
 
-fn show_suite(name: &str) -> Result<(), CliError> {
-    find_suite(name)?;
-    let text = match SHIPPED_SUITES.iter().find(|(shipped, _)| *shipped == name) {
-        Some((_, text)) => (*text).to_owned(),
-        None => file::read(Path::new(name))?,
-    };
-    output::print(&format!("# {DISCLAIMER}\n{text}"))
-}
-
 impl RunSuite {
     fn run(self, quiet: bool) -> Result<(), CliError> {
         let suite = find_suite(&self.suite)?;
@@ -213,7 +194,7 @@ impl RunSuite {
         if let Some(folder) = &self.out {
             suite_folder::write(&result, folder, quiet)?;
         }
-        let text = render(&result, &self.controllers, self.out.as_deref(), self.format)?;
+        let text = render(&result, self.out.as_deref(), self.format)?;
         let has_failed =
             result.tests().any(|(_, test)| test.controllers.iter().any(|one| one.failures().next().is_some()));
         if has_failed && self.out.is_none() {
@@ -221,7 +202,7 @@ impl RunSuite {
         }
         let printed = match self.format {
             SuiteFormat::Text => output::print_coloured(super::simulate::OutputFormat::Text, &text),
-            SuiteFormat::Json | SuiteFormat::Junit | SuiteFormat::Html => output::print(&text),
+            SuiteFormat::Json | SuiteFormat::Junit => output::print(&text),
         };
         CliError::gate_first(self.check_expectation(&result), printed)
     }
@@ -243,18 +224,12 @@ impl RunSuite {
     }
 }
 
-fn render(
-    result: &SuiteResult,
-    controllers: &[NamedController],
-    out: Option<&Path>,
-    format: SuiteFormat,
-) -> Result<String, CliError> {
+fn render(result: &SuiteResult, out: Option<&Path>, format: SuiteFormat) -> Result<String, CliError> {
     let replay =
         |failed: &FailedPoint, tested: &ControllerResult| replay_command(out?, failed, tested, result.estimator);
     Ok(match format {
         SuiteFormat::Json => serde_json::to_string(result).map_err(CliError::input)? + "\n",
         SuiteFormat::Junit => suite::render_junit(result),
-        SuiteFormat::Html => suite::render_html(result, controllers, replay),
         SuiteFormat::Text => suite::render_text(result, replay),
     })
 }

@@ -11,8 +11,8 @@ use super::{CliError, args, value_enums};
 use crumple_core::observer::Quiet;
 use crumple_core::quoting::TerminalText;
 use crumple_search::worst_case::{
-    AttackError, AttackMethod, AttackObjective, AttackReport, Envelope, FaultKindResult, MildestFault,
-    SensorAttackResult, SensorFailure, attack, attack_sensors,
+    AttackError, AttackObjective, AttackReport, Envelope, FaultKindResult, MildestFault, SensorAttackResult,
+    SensorFailure, attack, attack_sensors,
 };
 use crumple_store::disk::StagedFiles;
 use crumple_world::observation::EstimatorKind;
@@ -21,17 +21,14 @@ use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptio
 /// Find the mildest braking of the leader, or sensor fault, that makes a controller fail
 #[derive(Args)]
 #[command(after_long_help = "\
-The attack replaces the leader's script: braking only, within --max-brake and --jerk. For the baseline that observes \
-the true state, without noise, the answer is exact on a grid of 0.1 s, by enumeration of the times at which its \
-brake fires; with the filter, that profile is widened until it collides. For any other controller the result is the \
-best profile found: crumple simulates pulses and ramps and improves the best of them by sequential convex \
+The attack replaces the leader's script: braking only, within --max-brake and --jerk. The result is the best profile \
+found, in steps of 0.1 s: crumple simulates pulses and ramps and improves the best of them by sequential convex \
 programming along rollouts. crumple simulates the profile before it reports it, with the prediction of the last \
 program.
 
---budget ends the search between its rounds of about 30 simulations each. The exact method always makes one \
-simulation for each step of the scenario and one for each part of the enumeration (at most 1500). The other method \
-always scans pulses and ramps (40 for a budget below 400, 112 below 2000, otherwise 864) and, if one collides, makes \
-at most 144 simulations to find milder ones. If the budget is exceeded, the output says so.
+--budget ends the search between its rounds of about 30 simulations each. The search always scans pulses and ramps (40 \
+for a budget below 400, 112 below 2000, otherwise 864) and, if one collides, makes at most 144 simulations to find \
+milder ones. If the budget is exceeded, the output says so.
 
 --attack sensors searches for the mildest sensor fault instead. Each kind of fault is scaled from none to a limit, \
 which the output states: 20 shares of the limit, then bisection to a thousandth. The mildest fault that causes a \
@@ -264,17 +261,9 @@ fn describe_report(report: &AttackReport) -> String {
         let _ = writeln!(text, "  margin {margin:.3} m; the last program predicted {predicted:.3} m");
     }
     let AttackReport { evaluations, programs, .. } = report;
-    let Some(method) = report.method else {
-        let _ = writeln!(text, "  found in {evaluations} simulations and {programs} convex programs");
-        return text;
+    let _ = match report.method {
+        Some(_) => writeln!(text, "  best found; {evaluations} simulations, {programs} convex programs"),
+        None => writeln!(text, "  found in {evaluations} simulations and {programs} convex programs"),
     };
-    let method = match method {
-        AttackMethod::Exact => "exact on this grid",
-        AttackMethod::Widened => {
-            "best found, close to the optimum on this grid; the noise and the filter are not exact"
-        }
-        AttackMethod::Sequential => "best found",
-    };
-    let _ = writeln!(text, "  {method}; {evaluations} simulations, {programs} convex programs");
     text
 }

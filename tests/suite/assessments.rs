@@ -12,12 +12,10 @@ use crumple_report::assessment::{
 };
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_verify::{Certificate, Statement};
-use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::scenario::file;
 use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as space_file};
-use crumple_world::sim::{NamedController, RunOptions};
+use crumple_world::sim::NamedController;
 
 pub(crate) fn config(controllers: &[&str]) -> AssessConfig {
     let mut config = AssessConfig::default();
@@ -420,45 +418,12 @@ fn misleading_configurations_are_refused_at_the_start() {
             "everyday_draws = 0\n[[gates]]\nrequire = \"string-stable\"\ncontroller = \"idm\"\n",
             "needs `everyday_draws`",
         ),
-        ("[search]\nrules = [\"no brakes\"]\n", "a.toml:5: search.rules[0]: in high-risk: "),
-        ("[search]\nrules = [\"no contact\"]\n", "search.rules[0]: the search always looks for collisions"),
     ] {
         let path = folder.path().join("a.toml");
         fs::write(&path, format!("{begin}{rest}")).expect("writes");
         let refused = AssessmentPlan::load(&path).expect_err("refused").to_string();
         assert!(refused.contains(message), "{rest}: {refused}");
     }
-}
-
-/// A specification that a controller violates and a reference driver satisfies is reported, with a file that reproduces
-/// it.
-#[test]
-fn searches_cover_driving_rules_and_keep_violations() {
-    let mut config = config(&["idm", "constant-brake"]);
-    (config.draws, config.everyday_draws) = (0, 0);
-    (config.search.spaces, config.search.budget) = (Some(vec!["high-risk".to_owned()]), 20);
-    let rules = ["no braking without cause", "always v1.speed_mps >= 0"];
-    config.search.specifications = rules.map(str::to_owned).to_vec();
-    let assessment = run(config, Path::new(""));
-    let found = assessment.specification_searches.as_ref().expect("asked for");
-    let violations = |place: usize| -> Vec<u64> {
-        found.searches[place].controllers.iter().map(|search| search.violations).collect()
-    };
-    assert!(violations(0)[0] == 0 && violations(0)[1] > 0, "{found:?}");
-    assert_eq!(violations(1), [0, 0], "nobody drives backwards");
-    let worst = found.searches[0].controllers[1].worst.as_ref().expect("it breaks the rule");
-    let files = assessment.files().expect("renders");
-    let (_, text) = files.iter().find(|(name, _)| *name == worst.file).expect("a file of the report");
-    let scenario = file::from_toml(std::str::from_utf8(text).expect("text"), Path::new("worst")).expect("a scenario");
-    let rule = Specification::parse(rules[0], &scenario).expect("a rule");
-    let controller = NamedController::find("constant-brake", Path::new("")).expect("built in").kind;
-    let evaluated = rule.evaluate_scenario(&scenario, RunOptions::new(controller)).expect("runs");
-    assert!((evaluated.robustness - worst.robustness.value()).abs() < 1e-3 && evaluated.is_violation());
-    let row = |claim: &str| assessment.summary.claims.iter().find(|row| row.claim.starts_with(claim)).expect("claimed");
-    assert!(row("no unnecessary braking in a search").statuses[1].describe().contains("60"));
-    assert!(
-        row("always (v1.speed_mps").statuses.iter().all(|status| matches!(status.strength, Strength::Tested { .. }))
-    );
 }
 
 /// Certificates of no greater weight do not outweigh the comparison that the assessment counted.

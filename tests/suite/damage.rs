@@ -107,7 +107,6 @@ fn retraining(folder: &Path, seed: u64, tick: &(dyn Fn() + Sync)) -> Result<(), 
             test_draws: 3,
             ..RetrainingSettings::DEFAULT
         },
-        render_svg: |_| "<svg/>".to_owned(),
     };
     plan.run(folder, true, &Listener(|_: &RetrainingProgress| tick())).map(|_| ()).map_err(|error| error.to_string())
 }

@@ -69,7 +69,6 @@ fn explore_refuses_unsupported_inputs() {
     };
     refused("no-such-scenario", "neither a built-in scenario");
     refused(".", "the folder holds no campaign");
-    refused("--out nowhere", "no such folder");
     refused("--controller idm --controller idm", "given twice");
     refused(
         "--controller idm --controller rss --controller baseline --controller policy --controller retrained",

@@ -4,11 +4,6 @@ use std::fs;
 use std::path::Path;
 use std::process::Command;
 
-use crumple_report::suite::render_html;
-use crumple_suites::{TestSuite, run};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::sim::NamedController;
-
 use crate::command_line::temp_folder;
 use crate::report::BUILT_IN_ASSESSMENT;
 
@@ -64,17 +59,6 @@ fn print_in_browser(page: &str) {
 #[test]
 fn a_report_prints_everything() {
     assert_prints_everything(&BUILT_IN_ASSESSMENT.to_html(), 43);
-}
-
-#[test]
-fn a_page_of_a_suite_prints_everything() {
-    let suite = TestSuite::shipped("afgbv-cut-in").unwrap().unwrap();
-    let controllers = [NamedController::find("full-throttle", Path::new("")).unwrap()];
-    let result = run(&suite, &controllers, EstimatorKind::Kalman).unwrap();
-    let page =
-        render_html(&result, &controllers, |failed, _| Some(format!("crumple simulate {}.toml", failed.scenario_name)));
-    assert_prints_everything(&page, 1);
-    print_in_browser(&page);
 }
 
 mod tier_2 {

@@ -84,18 +84,12 @@ fn schemas_are_those_of_the_types() {
 #[test]
 fn the_committed_report_is_current() {
     let files = BUILT_IN_ASSESSMENT.files().expect("renders");
-    let is_run = |name: &str| name.ends_with(".xosc") || name.ends_with(".xodr");
-    let is_failure = |name: &str| name.ends_with(".toml") && !name.ends_with("-escape.toml");
-    let failures = files.iter().filter(|(name, _)| name.starts_with("counterexamples/") && is_failure(name));
-    let beside = files.iter().filter(|(name, _)| is_run(name));
-    let runs_beside = beside.count();
-    assert_eq!(runs_beside, 2 * failures.count(), "each counterexample has its run and its road beside it");
-    for (name, now) in files.iter().filter(|(name, _)| !is_run(name)) {
+    for (name, now) in &files {
         if name == "work.json" {
             // The manifest also covers the date on the page.
             let reports = Path::new(env!("CARGO_MANIFEST_DIR")).join("reports");
             let found = crumple_store::run_folder::examine(&reports).expect("it has a manifest");
-            assert!(found.is_intact() && found.files.len() + 1 + runs_beside == files.len(), "{found:?}");
+            assert!(found.is_intact() && found.files.len() + 1 == files.len(), "{found:?}");
         } else if name.ends_with(".safetensors") {
             let there = fs::read(Path::new(env!("CARGO_MANIFEST_DIR")).join("reports").join(name));
             assert!(there.is_ok_and(|there| there == *now), "reports/{name} is out of date");
@@ -283,17 +277,7 @@ fn no_controller_exceeds_the_bound_and_regrets_add_up() {
 }
 
 #[test]
-fn worst_profiles_collide_and_kernels_are_proved() {
-    let worst = BUILT_IN_ASSESSMENT.worst_profiles.as_ref().expect("shipped");
-    for profile in &worst.profiles {
-        let Some(mildest) = &profile.mildest else { continue };
-        assert!(
-            mildest.verdict.is_failure() && mildest.margin_m.is_some_and(|margin_m| margin_m.value() <= 0.0),
-            "{}",
-            profile.controller
-        );
-        assert!(mildest.peak_brake_mps2 <= worst.max_brake_mps2, "{}", profile.controller);
-    }
+fn every_certificate_is_accepted() {
     let accepted = BUILT_IN_ASSESSMENT.proofs.certificates.iter().filter(|proof| proof.is_accepted());
     assert_eq!(accepted.count(), BUILT_IN_ASSESSMENT.proofs.certificates.len());
     for statement in ["kernel", "rate", "comparison", "reach"] {

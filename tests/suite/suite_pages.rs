@@ -1,4 +1,4 @@
-//! Reports of suites: pages, tolerances, and suites in assessments.
+//! Reports of suites: tolerances, and suites in assessments.
 
 use std::fs;
 use std::path::Path;
@@ -7,33 +7,13 @@ use crumple_core::observer::Quiet;
 use crumple_report::assessment::{
     AssessmentGate, AssessmentPlan, EvidenceCache, Property, Strength, SuiteConfig, assess,
 };
-use crumple_report::suite::render_html;
-use crumple_suites::{DISCLAIMER, MarginEnd, SweepFailure, TestSuite, run};
+use crumple_suites::{MarginEnd, SweepFailure, TestSuite, run};
 use crumple_world::observation::EstimatorKind;
 
 use crate::assessments::config;
 use crate::command_line::{run_ok, temp_folder};
-use crate::report::assert_links_lead_somewhere;
 use crate::suites::{OWN_SUITE, find_controller, first_result, load_suite};
 use crate::tiny::replace_passages;
-
-/// One self-contained file without external references or duplicate identifiers, in which user text is escaped.
-#[test]
-fn a_page_is_self_contained_and_names_its_subject() {
-    let suite = TestSuite::shipped("euro-ncap-2023").unwrap().unwrap();
-    let mut controllers = vec![find_controller("full-throttle"), find_controller("policy")];
-    controllers[1].name = "<script>alert(1)</script>\u{202e}".to_owned();
-    let result = run(&suite, &controllers, EstimatorKind::Kalman).unwrap();
-    let page =
-        render_html(&result, &controllers, |failed, _| Some(format!("crumple simulate '<b>{}'", failed.scenario_name)));
-    assert!(page.matches(DISCLAIMER).count() >= 2 && page.contains("prefers-color-scheme:dark"));
-    assert!(!page.contains("<script") && page.contains("&lt;script&gt;") && !page.contains('\u{202e}'));
-    assert!(!page.contains("src=") && !page.contains("@import") && !page.contains("url(http"));
-    assert_links_lead_somewhere(&page);
-    assert_eq!(page.matches("href=\"").count(), page.matches("href=\"#").count(), "a link leads out of the page");
-    assert!(page.matches("<svg").count() >= 12 && page.contains("&lt;b&gt;euro-ncap-2023-ccrs-"), "failures are drawn");
-    assert!(page.contains("prevents it") && page.contains("avoidable: an escape keeps"));
-}
 
 /// A suite with a test of two speeds and a tolerance, and without margins.
 pub(crate) fn standing_suite() -> String {

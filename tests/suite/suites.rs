@@ -636,7 +636,7 @@ fn listed_suites_are_shown_as_valid_suites() {
     let list = run_crumple(folder.path(), "suite list");
     for (name, _) in SHIPPED_SUITES {
         assert_contains(stdout(&list), &[name, "no certification", UNSHIPPED_DOCUMENTS[0].0]);
-        let shown = run_crumple(folder.path(), &format!("suite show {name}")).stdout;
+        let shown = run_crumple(folder.path(), &format!("show {name} --kind suite")).stdout;
         std::fs::write(folder.path().join("copy.toml"), &shown).unwrap();
         assert_eq!(TestSuite::load(&folder.path().join("copy.toml")).unwrap(), shipped_suite(name));
     }

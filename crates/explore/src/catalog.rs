@@ -23,9 +23,7 @@ pub struct ExploreConfig {
     pub controllers: Vec<NamedController>,
     /// Initial estimator of the vehicles under test.
     pub estimator: EstimatorKind,
-    /// Folder for saved scenarios; without it they can only be downloaded.
-    pub save_folder: Option<PathBuf>,
-    /// Folders of campaigns, finished or in progress.
+    /// Folders of complete campaigns.
     pub campaigns: Vec<PathBuf>,
 }
 
@@ -36,7 +34,6 @@ pub(crate) struct Catalog {
     pub(crate) controllers: Vec<NamedController>,
     pub(crate) selected_controllers: usize,
     pub(crate) estimator: EstimatorKind,
-    pub(crate) save_folder: Option<PathBuf>,
     pub(crate) campaigns: Vec<CatalogCampaign>,
     /// Drivers from files in opened scenarios of campaigns.
     opened_drivers: Mutex<Vec<FileDriver>>,
@@ -69,12 +66,6 @@ pub enum ExploreConfigError {
         /// Name of both.
         name: String,
     },
-    /// The folder for saved scenarios does not exist.
-    #[error("{}: there is no such folder to save scenarios in", path.display())]
-    SaveFolder {
-        /// Path as given.
-        path: PathBuf,
-    },
     /// A campaign cannot be read.
     #[error(transparent)]
     Campaign(#[from] CampaignError),
@@ -85,7 +76,7 @@ impl ExploreConfig {
 
     /// Adds everything built in and checks the configuration.
     pub(crate) fn into_catalog(self) -> Result<Catalog, ExploreConfigError> {
-        let Self { mut scenarios, mut controllers, estimator, save_folder, campaigns } = self;
+        let Self { mut scenarios, mut controllers, estimator, campaigns } = self;
         if controllers.len() > Self::MAX_CONTROLLERS {
             return Err(ExploreConfigError::TooManyControllers { found: controllers.len() });
         }
@@ -95,12 +86,9 @@ impl ExploreConfig {
         {
             return Err(ExploreConfigError::DuplicateController { name: (*name).to_owned() });
         }
-        if let Some(path) = save_folder.as_ref().filter(|path| !path.is_dir()) {
-            return Err(ExploreConfigError::SaveFolder { path: path.clone() });
-        }
-        let campaigns = campaigns
-            .into_iter()
-            .map(|folder| Ok(CatalogCampaign::new(folder.display().to_string(), CampaignReader::open(&folder)?)));
+        let campaigns = campaigns.into_iter().map(|folder| {
+            Ok(CatalogCampaign { name: folder.display().to_string(), reader: CampaignReader::open(&folder)? })
+        });
         let campaigns = campaigns.collect::<Result<Vec<_>, CampaignError>>()?;
         if controllers.is_empty() {
             controllers.extend(ControllerSpec::from_name(DEFAULT_CONTROLLER).map(NamedController::from));
@@ -120,15 +108,15 @@ impl ExploreConfig {
         }
         // Only built-in controllers of campaigns are added: a campaign must not add a command or file to the catalog.
         for campaign in &campaigns {
-            let name = campaign.lock_reader().controller().to_owned();
+            let name = campaign.reader.controller();
             if let (false, Some(Ok(spec))) =
-                (controllers.iter().any(|offered| offered.name == name), ControllerSpec::parse(&name))
+                (controllers.iter().any(|offered| offered.name == name), ControllerSpec::parse(name))
             {
                 controllers.push(spec.into());
             }
         }
         let opened_drivers = Mutex::default();
-        Ok(Catalog { scenarios, controllers, selected_controllers, estimator, save_folder, campaigns, opened_drivers })
+        Ok(Catalog { scenarios, controllers, selected_controllers, estimator, campaigns, opened_drivers })
     }
 }
 

@@ -422,31 +422,23 @@
       }
       button.disabled = false;
     });
-    const save = async (to_folder) => {
+    const download = async () => {
       const status = byId('saved');
       try {
         const saved = await ask('save', {
           what: request(),
           controller: chosen()[0],
           estimator: byId('estimator').value,
-          to_folder,
         });
-        if (!to_folder) {
-          const address = URL.createObjectURL(new Blob([saved.toml], { type: 'application/toml' }));
-          element('a', { href: address, download: saved.file_name }).click();
-          setTimeout(() => URL.revokeObjectURL(address), 10_000);
-        }
-        status.replaceChildren(
-          saved.path ? `Saved as ${saved.path}. ` : '',
-          'Repeat with ',
-          element('code', {}, saved.command),
-        );
+        const address = URL.createObjectURL(new Blob([saved.toml], { type: 'application/toml' }));
+        element('a', { href: address, download: saved.file_name }).click();
+        setTimeout(() => URL.revokeObjectURL(address), 10_000);
+        status.replaceChildren('Repeat with ', element('code', {}, saved.command));
       } catch (error) {
         status.replaceChildren(element('span', { class: 'bad' }, error.message));
       }
     };
-    byId('save')?.addEventListener('click', () => save(true));
-    byId('download').addEventListener('click', () => save(false));
+    byId('download').addEventListener('click', download);
     byId('controls').addEventListener('submit', (event) => event.preventDefault());
 
     const keys = ['scenario', 'campaign', 'counterexample', 'evaluation'].filter((key) =>
@@ -477,7 +469,6 @@
       byId(id).innerHTML = markup;
     };
     let later = 0;
-    let wasRunning = null;
     const look = latest('words', async () => {
       clearTimeout(later);
       const named = (id) => chosen(id) || null;
@@ -499,13 +490,7 @@
         setOptions('method', state.methods, [['', 'every method']]);
         setOptions('kind', state.kinds, [['', 'every kind']]);
         byId('words').replaceChildren(...state.words.map((line) => element('p', { class: 'told' }, line)));
-        ['best', 'front', 'maps', 'distinct', 'failures'].forEach((id) => put(id, state[id]));
-        document.body.dataset.running = state.running;
-        document.body.dataset.loading = state.loading;
-        if (wasRunning === true && !state.running) byId('said').textContent = state.words.join('. ');
-        wasRunning = state.running;
-        if (state.loading) later = setTimeout(look, 0);
-        else if (state.running) later = setTimeout(look, 1500);
+        ['best', 'maps', 'distinct', 'failures'].forEach((id) => put(id, state[id]));
       } catch (error) {
         showError(error);
         later = setTimeout(look, 3000);

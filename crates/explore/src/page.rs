@@ -63,7 +63,6 @@ pub(crate) fn scenario_page(offer: &Catalog) -> String {
                 }
                 label { "Name " input type="text" id="name" maxlength="200" autocomplete="off"; }
                 div.buttons {
-                    @if offer.save_folder.is_some() { button type="button" id="save" { "Save" } }
                     button type="button" id="download" { "Download" }
                     button type="button" id="reset" { "Begin anew" }
                 }
@@ -88,7 +87,7 @@ pub(crate) fn campaigns_page(offer: &Catalog) -> String {
     let content = html! {
         h1.unseen { "Campaigns" }
         @if offer.campaigns.is_empty() {
-            p { "No campaign was given. Start crumple with the folder of a finished or running campaign:" }
+            p { "No campaign was given. Start crumple with the folder of a campaign:" }
             p { code { "crumple explore runs/match-leader" } }
         } @else {
             form.filters id="filters" aria-label="Selection" {
@@ -111,7 +110,7 @@ pub(crate) fn campaigns_page(offer: &Catalog) -> String {
             p.bad id="error" role="alert" hidden {}
             div id="words" {}
             p.unseen id="said" role="status" {}
-            div.pair { div id="best" {} div id="front" {} }
+            div id="best" {}
             section { h2 { "Where it fails" }
                 p.hint { "Green: no evaluation fails. Crossed: some fail. Red with a number: all fail. Blank: no \
                 evaluation. Each cell links to its worst scenario." }

@@ -16,7 +16,7 @@ use crate::error::RequestError;
 use crate::page;
 use crate::render::{Sliders, run_and_render};
 use crate::request::{EditedScenario, RunRequest, parse_body};
-use crate::save::save_scenario;
+use crate::save::SaveResponse;
 
 /// Application state: access control and catalog.
 #[derive(Debug)]
@@ -62,8 +62,6 @@ struct SaveRequest {
     controller: String,
     #[serde(default)]
     estimator: EstimatorKind,
-    /// True to write it into the folder, false to return its text only.
-    to_folder: bool,
 }
 
 impl Application {
@@ -122,14 +120,11 @@ impl Application {
     ) -> Result<HttpResponse, RequestError> {
         let offered = catalog::find(&self.catalog.campaigns, index, "campaign", "campaigns")?;
         // A damaged campaign is not opened in part.
-        offered.poll()?;
-        let look = offered.lock_reader();
+        let look = &offered.reader;
         let scenario = match (counterexample, evaluation) {
             (Some(place), None) => {
                 let found = look.counterexample(place).map_err(campaign::campaign_error)?;
-                found.ok_or_else(|| {
-                    RequestError::invalid("counterexample", "the campaign has no such failure, or is not complete")
-                })?
+                found.ok_or_else(|| RequestError::invalid("counterexample", "the campaign has no such failure"))?
             }
             (None, Some(place)) => {
                 let found = look.evaluations().get(place);
@@ -184,12 +179,7 @@ impl Application {
         let scenario = save.edited.into_scenario(&self.catalog)?;
         let named = self.catalog.find_controllers(std::slice::from_ref(&save.controller))?;
         let controller = named.first().map_or("", |controller| controller.name.as_str());
-        let out = match (&self.catalog.save_folder, save.to_folder) {
-            (Some(folder), true) => Some(folder.as_path()),
-            (None, true) => return Err(RequestError::invalid("to_folder", "no folder was given: start with --out")),
-            (_, false) => None,
-        };
-        json_response(&save_scenario(&scenario, controller, save.estimator.name(), out)?)
+        json_response(&SaveResponse::new(&scenario, controller, save.estimator.name())?)
     }
 }
 

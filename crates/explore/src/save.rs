@@ -1,8 +1,4 @@
-//! Storage of a scenario as a file.
-
-use std::fs::OpenOptions;
-use std::io::{ErrorKind, Write};
-use std::path::{Path, PathBuf};
+//! A scenario as a file for the browser.
 
 use crumple_core::quoting::{ShellWord, TerminalText};
 use crumple_world::scenario::{Scenario, file};
@@ -11,69 +7,25 @@ use serde::Serialize;
 use crate::error::RequestError;
 
 const MAX_STEM_CHARS: usize = 60;
-const MAX_SAME_NAME_FILES: usize = 1000;
 
 #[derive(Debug, Serialize)]
 pub(crate) struct SaveResponse {
     file_name: String,
     toml: String,
-    /// Path of the saved file; none without a folder.
-    path: Option<String>,
     command: String,
 }
 
-/// Writes a scenario into a folder, if given, under an unused name. Overwrites nothing.
-pub(crate) fn save_scenario(
-    scenario: &Scenario,
-    controller: &str,
-    estimator: &str,
-    out: Option<&Path>,
-) -> Result<SaveResponse, RequestError> {
-    let toml = file::to_toml(scenario).map_err(|error| RequestError::Internal(error.to_string()))?;
-    let plain = file_stem(&scenario.spec().name);
-    let path = out.map(|folder| write_new_file(folder, &plain, &toml)).transpose()?;
-    let file_name = path
-        .as_ref()
-        .and_then(|path| path.file_name())
-        .map_or(format!("{plain}.toml"), |name| name.to_string_lossy().into_owned());
-    let place = path.as_ref().map_or(file_name.clone(), |path| path.display().to_string());
-    let command = format!(
-        "crumple simulate {} --controller {} --estimator {estimator}",
-        ShellWord(&place),
-        ShellWord(controller)
-    );
-    Ok(SaveResponse {
-        file_name,
-        toml,
-        path: path.map(|path| TerminalText(&path.display().to_string()).to_string()),
-        command: TerminalText(&command).to_string(),
-    })
-}
-
-fn write_new_file(folder: &Path, plain: &str, toml: &str) -> Result<PathBuf, RequestError> {
-    for number in 1..=MAX_SAME_NAME_FILES {
-        let name = if number == 1 { format!("{plain}.toml") } else { format!("{plain}-{number}.toml") };
-        let path = folder.join(name);
-        let failed = |error: std::io::Error| RequestError::Internal(format!("{}: {error}", path.display()));
-        // Fails for any existing entry, links included.
-        let mut file = match OpenOptions::new().write(true).create_new(true).open(&path) {
-            Ok(file) => file,
-            Err(error) if error.kind() == ErrorKind::AlreadyExists => continue,
-            Err(error) => return Err(failed(error)),
-        };
-        return match file.write_all(toml.as_bytes()).and_then(|()| file.sync_all()) {
-            Ok(()) => Ok(path),
-            Err(error) => {
-                // Remove an incomplete file.
-                let _ = std::fs::remove_file(&path);
-                Err(failed(error))
-            }
-        };
+impl SaveResponse {
+    pub(crate) fn new(scenario: &Scenario, controller: &str, estimator: &str) -> Result<Self, RequestError> {
+        let toml = file::to_toml(scenario).map_err(|error| RequestError::Internal(error.to_string()))?;
+        let file_name = format!("{}.toml", file_stem(&scenario.spec().name));
+        let command =
+            format!("crumple simulate {file_name} --controller {} --estimator {estimator}", ShellWord(controller));
+        Ok(Self { file_name, toml, command: TerminalText(&command).to_string() })
     }
-    Err(RequestError::invalid("edits.name", format!("there are already {MAX_SAME_NAME_FILES} scenarios of this name")))
 }
 
-/// Returns a file name of letters, digits and hyphens. The name cannot point outside the folder, and is not one that
+/// Returns a file name of letters, digits and hyphens. The name cannot point to another folder, and is not one that
 /// Windows reserves, such as `con`.
 fn file_stem(name: &str) -> String {
     let words = name.split(|letter: char| !letter.is_ascii_alphanumeric()).filter(|word| !word.is_empty());
@@ -91,24 +43,22 @@ fn file_stem(name: &str) -> String {
 
 #[cfg(test)]
 mod tests {
+    use std::path::Path;
+
     use super::*;
     use crumple_world::scenario::built_in_scenario;
     use proptest::prelude::*;
 
     proptest! {
-        /// A scenario with any name is saved in the folder, is valid, and replaces nothing.
+        /// The file of a scenario with any name has the scenario, and a file name that is no path.
         #[test]
-        fn a_scenario_is_saved_in_the_folder_and_nowhere_else(name in "(\\.\\./)?[ -~äß/\\\\]{1,40}") {
-            let parent = tempfile::tempdir().unwrap();
-            let out = parent.path().join("out");
-            std::fs::create_dir(&out).unwrap();
+        fn a_file_name_is_no_path(name in "(\\.\\./)?[ -~äß/\\\\]{1,40}") {
             let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| spec.name = name.clone()).unwrap();
-            for times in 1..4 {
-                let saved = save_scenario(&scenario, "idm", "truth", Some(&out)).unwrap();
-                prop_assert_eq!(std::fs::read_dir(&out).unwrap().count(), times);
-                prop_assert_eq!(file::load(&out.join(&saved.file_name)).unwrap(), scenario.clone());
-            }
-            prop_assert_eq!(std::fs::read_dir(parent.path()).unwrap().count(), 1);
+            let saved = SaveResponse::new(&scenario, "idm", "truth").unwrap();
+            let stem = saved.file_name.strip_suffix(".toml").unwrap();
+            let is_plain = |letter: char| letter.is_ascii_alphanumeric() || letter == '-';
+            prop_assert!(!stem.is_empty() && stem.chars().all(is_plain));
+            prop_assert_eq!(file::from_toml(&saved.toml, Path::new(&saved.file_name)).unwrap(), scenario);
         }
     }
 }

@@ -7,34 +7,28 @@ use std::path::Path;
 use std::sync::{Mutex, OnceLock};
 use std::time::{Duration, Instant};
 
-use crumple_core::observer::Quiet;
 use crumple_explore::{CatalogScenario, ExploreConfig, Server};
-use crumple_search::falsify::Method;
-use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::built_in_space;
 use crumple_world::scenario::{built_in_scenario, file};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 use proptest::prelude::*;
 use serde_json::{Value, json};
 
-/// Server of all tests, its token, and its folder for saved scenarios.
+/// Server of all tests, and its token.
 struct TestServer {
     port: u16,
     token: String,
-    out: tempfile::TempDir,
 }
 
 fn test_server() -> &'static TestServer {
     static SERVED: OnceLock<TestServer> = OnceLock::new();
     SERVED.get_or_init(|| {
-        let out = tempfile::tempdir().unwrap();
         let wet = built_in_scenario("paper-1").unwrap().edited(|spec| spec.environment.friction = 0.8).unwrap();
         let scenarios = vec![CatalogScenario { name: "wet".to_owned(), scenario: wet }];
-        let offer = ExploreConfig { scenarios, save_folder: Some(out.path().to_owned()), ..ExploreConfig::default() };
+        let offer = ExploreConfig { scenarios, ..ExploreConfig::default() };
         let (port, token) = start(Server::bind(0, offer).unwrap());
-        TestServer { port, token, out }
+        TestServer { port, token }
     })
 }
 
@@ -255,34 +249,6 @@ fn a_request_that_does_not_arrive_in_time_is_ended() {
     assert!(!read_response(&mut head).contains("200 OK"), "the connection ends");
 }
 
-/// Repeated requests: no later response shows a campaign without failures.
-#[test]
-fn a_damaged_campaign_is_an_error_in_every_answer() {
-    let campaign = Campaign {
-        estimator: EstimatorKind::Truth,
-        method: Method::Uniform,
-        budget: 40,
-        seed: 7,
-        ..Campaign::new(ControllerSpec::from_name("match-leader").unwrap(), built_in_space("high-risk").unwrap())
-    };
-    let folder = tempfile::tempdir().unwrap();
-    campaign.run(folder.path(), CampaignOptions::default(), &Quiet).unwrap();
-    let table = std::fs::read_dir(folder.path().join("evaluations")).unwrap().next().unwrap().unwrap().path();
-    let mut bytes = std::fs::read(&table).unwrap();
-    let middle = bytes.len() / 2;
-    bytes[middle] ^= 1;
-    std::fs::write(&table, bytes).unwrap();
-    let offer = ExploreConfig { campaigns: vec![folder.path().to_owned()], ..ExploreConfig::default() };
-    let (port, token) = start(Server::bind(0, offer).unwrap());
-    for (what, body) in
-        [("campaign", r#"{"campaign": 0}"#), ("open", r#"{"campaign": 0, "counterexample": 0}"#)].repeat(2)
-    {
-        let (status, answer) = post_at(port, &token, what, body.as_bytes());
-        let message = answer["error"]["message"].as_str().unwrap_or_default();
-        assert!(status == 500 && message.ends_with("has changed since it was written"), "{what}: {status}: {answer}");
-    }
-}
-
 #[test]
 fn errors_name_their_field() {
     let refused = |what: &str, body: &str, status: u16, output: &str| {
@@ -325,7 +291,8 @@ fn errors_name_their_field() {
 /// No name in a request opens a file or starts a process.
 #[test]
 fn no_name_in_a_request_is_a_file_or_a_command() {
-    let collided = test_server().out.path().join("touched");
+    let folder = tempfile::tempdir().unwrap();
+    let collided = folder.path().join("touched");
     for name in [
         format!("exec:touch {}", collided.display()),
         "shield:exec:true".to_owned(),
@@ -341,7 +308,7 @@ fn no_name_in_a_request_is_a_file_or_a_command() {
     body["scenario"]["vehicles"][2]["driver"] = json!({ "file": { "path": "/etc/passwd" } });
     for (what, body) in [
         ("avoid", json!({ "scenario": body["scenario"] })),
-        ("save", json!({ "what": { "scenario": body["scenario"] }, "controller": "idm", "to_folder": true })),
+        ("save", json!({ "what": { "scenario": body["scenario"] }, "controller": "idm" })),
         ("run", body),
     ] {
         let (status, answer) = post(what, body.to_string().as_bytes());
@@ -369,13 +336,11 @@ fn a_dragged_and_saved_scenario_ends_in_the_same_contact() {
         "what": { "scenario": built_in_scenario("paper-1").unwrap().spec(), "edits": edits },
         "controller": "baseline",
         "estimator": "truth",
-        "to_folder": true,
     });
     let (status, saved) = post("save", save.to_string().as_bytes());
     assert_eq!(status, 200, "{saved}");
-    let path = Path::new(saved["path"].as_str().unwrap());
-    assert_eq!(path.parent(), Some(test_server().out.path()));
-    let scenario = file::load(path).unwrap();
+    assert_eq!(saved["file_name"], "dragged.toml");
+    let scenario = file::from_toml(saved["toml"].as_str().unwrap(), Path::new("dragged.toml")).unwrap();
     let baseline = ControllerSpec::from_name("baseline").unwrap();
     let options = RunOptions::new(baseline).with_estimator(EstimatorKind::Truth);
     let again = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);

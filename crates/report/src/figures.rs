@@ -91,61 +91,6 @@ fn format_thousands(reward: f64) -> String {
     format!("{} {:03}", reward as i64 / 1000, reward as i64 % 1000)
 }
 
-/// A round of a retraining, for [`draw_retraining`].
-#[derive(Debug, Clone, PartialEq)]
-pub struct RetrainingRound {
-    /// Maximum number of episodes.
-    pub episodes: u64,
-    /// Checkpoints without a collision in the paper's scenarios and random scenarios, in order.
-    pub checkpoints: Vec<SelectedCheckpoint>,
-    /// True if the candidate of the round was accepted.
-    pub is_accepted: bool,
-}
-
-/// A checkpoint with its result in the selection of a retraining.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub struct SelectedCheckpoint {
-    /// Number of episodes of the round before the checkpoint.
-    pub episode: u64,
-    /// Number of collisions in the avoidable random scenarios of the selection.
-    pub contacts: u64,
-    /// True for the candidate of the round.
-    pub is_candidate: bool,
-}
-
-/// Draws the collisions in the selection over episodes. A ring marks a candidate, a vertical line the end of a round.
-#[must_use]
-pub fn draw_retraining(rounds: &[RetrainingRound]) -> Svg {
-    let (mut done, mut points, mut candidates, mut ends) = (0, Vec::new(), Vec::new(), Vec::new());
-    for (round, number) in rounds.iter().zip(1..) {
-        for checkpoint in &round.checkpoints {
-            // Episodes accumulate, even after a learner that started anew.
-            let point = ((done + checkpoint.episode) as f64, checkpoint.contacts as f64);
-            points.push(point);
-            if checkpoint.is_candidate {
-                candidates.push(point);
-            }
-        }
-        let word = if round.is_accepted { "accepted" } else { "rejected" };
-        done += round.episodes;
-        ends.push((done as f64, format!("round {number} {word}")));
-    }
-    let most = points.iter().map(|point| point.1).fold(1.0, f64::max);
-    let title = "Collisions in the avoidable scenarios that select checkpoints";
-    let x = Axis::numeric("episode", (0.0, done.max(1) as f64), 8);
-    let mut panel = Panel::new(panel_frame(HEADING_HEIGHT), title, x, Axis::numeric("", (0.0, most * 1.15), 6));
-    for (end, words) in &ends {
-        panel.add_vertical_line(*end, Stroke { dash: "8 3.5", ..Stroke::solid(Ink::Muted, 1.2) });
-        panel.add_note((*end * 0.995, most * 1.08), Anchor::End, words, Ink::Muted);
-    }
-    panel.add_line(&points, Stroke::series(0));
-    panel.add_markers(&candidates, Marker::Ring, Ink::Series(1));
-    let content = panel.draw(&Svg::id("retraining", "frame"));
-    let description =
-        "A ring is the candidate of its round. Checkpoints that collide in the paper's scenarios are omitted.";
-    Svg::new("retraining", FIGURE_SIZE, title, description, content)
-}
-
 /// Draws a recording: speeds of its vehicles, and the gaps behind them, over time.
 #[must_use]
 pub fn draw_recording(preview: &Preview, file: &str) -> Svg {

@@ -24,10 +24,6 @@ impl Inline {
         Self::default().and_prose(text)
     }
 
-    pub(crate) fn code(text: impl Display) -> Self {
-        Self::default().and_code(text)
-    }
-
     pub(crate) fn strong(text: &str) -> Self {
         Self { text: format!("**{}**", Self::prose(text.trim()).text) }
     }

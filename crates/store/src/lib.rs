@@ -7,7 +7,6 @@
 //! | [`program`] | the identity of the running program, which unfinished runs record |
 //! | [`run_folder`] | run folders with a manifest: an error names a file that was changed after it was written |
 
-pub mod difference;
 pub mod disk;
 pub mod program;
 pub mod run_folder;

@@ -86,15 +86,6 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
     assert!(json_objects(&first)[0]["exposed"]["fitted"]["per_hour"]["estimate"].is_f64(), "{}", stdout(&first));
     assert_eq!(stdout(&rare("--out rare --resume")), stdout(&first));
     run_ok(here, "fsck one rare");
-
-    let mut config = crate::assessments::config(&["baseline", "idm"]);
-    config.distributions = Some(vec!["space.toml".to_owned()]);
-    let assessment = crate::assessments::run(config, here);
-    let sampled = &assessment.rate_spaces.spaces[0].controllers[0];
-    let exposed = sampled.rate_per_exposure.as_ref().expect("the space says in how much driving");
-    let data = exposed.with_data_uncertainty.expect("resampled");
-    assert!((exposed.episodes, data.resamples) == (40, 100));
-    assert!(assessment.to_markdown().contains("failures per hour"));
 }
 
 #[test]

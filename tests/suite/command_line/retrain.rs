@@ -37,7 +37,7 @@ mod tier_2 {
         assert_eq!(exit_code(&again), 2, "an existing retraining is not overwritten");
         let policy = "--policy through/rounds/01/before.safetensors";
         let other = run_crumple(folder.path(), &format!("{RETRAIN_ARGS} --out killed --resume {policy}"));
-        assert_refused(&other, "the retraining there has a different `policy`: \"policy\" instead of \"through/");
+        assert_refused(&other, "the retraining there has a different configuration");
         let read = run_crumple(folder.path(), &format!("{json} --out killed --resume"));
         assert_eq!(
             (exit_code(&read), stdout(&read)),
@@ -93,7 +93,6 @@ fn check_report(folder: &Path, report: &Value) {
         ["both", "first_only", "retrained_only", "neither"].map(|of| pairs[of].as_u64().unwrap()).iter().sum();
     assert_eq!(pairs, 12);
     assert!(fs::read_to_string(folder.join("report.md")).unwrap().starts_with("# Retraining of `policy` in the space"));
-    assert!(fs::read_to_string(folder.join("report.svg")).unwrap().contains("<svg"));
 }
 
 /// The policy observes its last answer, and is attacked in every space of its preset.

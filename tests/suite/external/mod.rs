@@ -60,7 +60,6 @@ const CASES: &[(&str, &str, StartExpectation)] = &[
     ("verify rate", "--controller idm --space space.toml --runs 2 --out o", RefusedOrStarts("space.toml:")),
     ("verify reach", "--box driven.toml", StartsNothing),
     ("suite list", "", StartsNothing),
-    ("suite show", "driven.toml", StartsNothing),
     ("suite run", "driven.toml --controller idm", StartsNothing),
     ("suite table", "--help", StartsNothing),
     ("fsck", "campaign rate", StartsNothing),

@@ -1,11 +1,8 @@
 //! Figures of campaigns in the style of reports; their marks link to scenarios.
 
-use std::collections::HashMap;
-
 use crumple_report::draw::{
-    Anchor, Axis, BOTTOM_MARGIN, CellStyle, HEADING_HEIGHT, Ink, LEFT_MARGIN, LegendEntry, Marker, Panel, PixelRect,
-    SMALL_TEXT_SIZE, Stroke, Svg, draw_cells, draw_legend, draw_marker, draw_text, extent, format_number, pad_interval,
-    text_width,
+    Anchor, Axis, BOTTOM_MARGIN, CellStyle, HEADING_HEIGHT, Ink, LEFT_MARGIN, Panel, PixelRect, SMALL_TEXT_SIZE,
+    Stroke, Svg, draw_cells, draw_legend, draw_text, extent, format_number, pad_interval, text_width,
 };
 use crumple_search::falsify::Method;
 use maud::{Markup, html};
@@ -23,22 +20,6 @@ fn width(narrow: bool) -> f64 {
 fn panel_frame(narrow: bool) -> PixelRect {
     let (left, width) = (LEFT_MARGIN + 12.0, width(narrow) - LEFT_MARGIN - 24.0);
     PixelRect { left, top: HEADING_HEIGHT, width, height: HEIGHT }
-}
-
-fn figure_with_legend(
-    id: &str,
-    panel: Panel,
-    entries: &[LegendEntry<'_>],
-    (title, description): (&str, &str),
-    narrow: bool,
-) -> Svg {
-    let (key, key_height) = draw_legend(entries, width(narrow) - 12.0);
-    let top = panel_frame(narrow).bottom() + BOTTOM_MARGIN + 6.0;
-    let content = html! {
-        (panel.draw(&Svg::id(id, "frame")))
-        g transform={ "translate(12 " (top) ")" } { (key) }
-    };
-    Svg::new(id, (width(narrow), top + key_height), title, description, content)
 }
 
 /// Draws the smallest robustness so far over the evaluations of each method.
@@ -65,11 +46,17 @@ pub(super) fn best_robustness_figure(shown: &[CampaignView<'_>], narrow: bool) -
     for (index, (name, line)) in lines.iter().enumerate() {
         let line: Vec<(f64, f64)> = line.iter().map(|(x, y)| (x.log10(), *y)).collect();
         panel.add_line(&line, Stroke::series(index));
-        entries.push(LegendEntry::Line(Stroke::series(index), name));
+        entries.push((Stroke::series(index), name.as_str()));
     }
     let description =
         "Smallest robustness that each method had found, against its number of evaluations (logarithmic scale).";
-    figure_with_legend("best", panel, &entries, (title, description), narrow).inline()
+    let (key, key_height) = draw_legend(&entries, width(narrow) - 12.0);
+    let top = panel_frame(narrow).bottom() + BOTTOM_MARGIN + 6.0;
+    let content = html! {
+        (panel.draw(&Svg::id("best", "frame")))
+        g transform={ "translate(12 " (top) ")" } { (key) }
+    };
+    Svg::new("best", (width(narrow), top + key_height), title, description, content).inline()
 }
 
 /// Returns the points at which the smallest robustness of a method decreases, and its last point.
@@ -91,53 +78,6 @@ fn best_so_far(one: &CampaignView<'_>, wanted: &Method) -> Vec<(f64, f64)> {
         line.push((last as f64, least));
     }
     line
-}
-
-/// Draws severity against likelihood.
-pub(super) fn pareto_front_figure(shown: &[CampaignView<'_>], narrow: bool) -> Markup {
-    let fronts: Vec<_> = shown.iter().map(|one| (one, one.reader.front())).collect();
-    let points = || fronts.iter().flat_map(|(_, front)| front);
-    if points().next().is_none() {
-        return html! { p.hint { "No failure yet, so the Pareto front is empty." } };
-    }
-    let x = Axis::numeric("ln likelihood", pad_interval(extent(points().map(|point| point.ln_likelihood)), 0.06), 8);
-    let y = Axis::numeric("", pad_interval(extent(points().map(|point| point.robustness).chain([0.0])), 0.06), 6);
-    let title = "Pareto front of the failures in severity and likelihood";
-    let mut panel = Panel::new(panel_frame(narrow), if narrow { "Pareto front: robustness" } else { title }, x, y);
-    let markers = [Marker::Disc, Marker::Square];
-    for (series, (one, front)) in fronts.iter().enumerate() {
-        let place: HashMap<(&str, u64), usize> = one
-            .reader
-            .evaluations()
-            .iter()
-            .enumerate()
-            .map(|(index, (method, evaluated))| ((method.name(), evaluated.number), index))
-            .collect();
-        let line: Vec<(f64, f64)> = front.iter().map(|point| (point.ln_likelihood, point.robustness)).collect();
-        panel.add_line(&line, Stroke { width: 0.8, ..Stroke::series(series) });
-        for point in front.iter().filter(|point| point.ln_likelihood.is_finite() && point.robustness.is_finite()) {
-            let centre = panel.to_pixels((point.ln_likelihood, point.robustness));
-            let drawn = draw_marker(centre, markers[series % 2], Ink::Series(series));
-            let text = format!(
-                "{}: robustness {}, ln likelihood {}",
-                point.kind,
-                format_number(point.robustness, 2),
-                format_number(point.ln_likelihood, 2)
-            );
-            panel.add_overlay(match place.get(&(point.method.as_str(), point.evaluation)) {
-                Some(index) => html! {
-                    a href={ "./?campaign=" (one.index) "&evaluation=" (index) } aria-label=(text) {
-                        title { (text) } (drawn)
-                    }
-                },
-                // The evaluation of this point is not stored.
-                None => drawn,
-            });
-        }
-    }
-    let entries: Vec<_> = shown.iter().zip(markers).map(|(one, marker)| LegendEntry::Mark(marker, one.name)).collect();
-    let description = "Each point links to its scenario.";
-    figure_with_legend("front", panel, &entries, (title, description), narrow).with_links().inline()
 }
 
 /// Draws the number of evaluations and failures in each cell.

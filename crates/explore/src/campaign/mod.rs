@@ -3,10 +3,6 @@
 mod figures;
 mod grid;
 
-use std::collections::BTreeMap;
-use std::sync::{Mutex, MutexGuard, PoisonError};
-use std::time::{Duration, Instant};
-
 use crumple_core::quoting::{TerminalLines, TerminalText};
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{CampaignError, CampaignReader, EvaluatedPoint, MAX_READ_EVALUATIONS};
@@ -19,14 +15,11 @@ use crate::error::RequestError;
 use grid::FailureGrid;
 
 const MAX_LISTED: usize = 40;
-/// Time for which a request reads further evaluations from the folder before it responds.
-const POLL_TIME: Duration = Duration::from_millis(150);
-const BATCH_SIZE: usize = 2_000;
 
 #[derive(Debug)]
 pub(crate) struct CatalogCampaign {
     pub(crate) name: String,
-    reader: Mutex<CampaignReader>,
+    pub(crate) reader: CampaignReader,
 }
 
 #[derive(Debug, Deserialize)]
@@ -47,10 +40,6 @@ pub(crate) struct CampaignRequest {
 
 #[derive(Debug, Serialize)]
 pub(crate) struct CampaignResponse {
-    /// True if the campaign may add evaluations.
-    running: bool,
-    /// True if stored evaluations are not read yet.
-    loading: bool,
     #[serde(rename = "words")]
     summaries: Vec<String>,
     coordinates: Vec<String>,
@@ -61,7 +50,6 @@ pub(crate) struct CampaignResponse {
     methods: Vec<String>,
     kinds: Vec<String>,
     best: String,
-    front: String,
     maps: String,
     distinct: String,
     failures: String,
@@ -71,28 +59,6 @@ pub(crate) struct CampaignView<'a> {
     pub(crate) index: usize,
     pub(crate) name: &'a str,
     pub(crate) reader: &'a CampaignReader,
-}
-
-impl CatalogCampaign {
-    pub(crate) fn new(name: String, reader: CampaignReader) -> Self {
-        Self { name, reader: Mutex::new(reader) }
-    }
-
-    /// Locks the reader, also after a panic of another thread that held the lock.
-    pub(crate) fn lock_reader(&self) -> MutexGuard<'_, CampaignReader> {
-        self.reader.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Reads evaluations for [`POLL_TIME`]. Returns true if the folder contains more.
-    pub(crate) fn poll(&self) -> Result<bool, RequestError> {
-        let (mut look, until) = (self.lock_reader(), Instant::now() + POLL_TIME);
-        loop {
-            let is_more = look.poll(BATCH_SIZE).map_err(campaign_error)?;
-            if !is_more || Instant::now() >= until {
-                return Ok(is_more);
-            }
-        }
-    }
 }
 
 pub(crate) fn campaign_error(error: CampaignError) -> RequestError {
@@ -107,23 +73,11 @@ pub(crate) fn show_campaigns(
     // A comparison with itself would deadlock.
     let against = request.against.filter(|index| *index != request.campaign);
     let other = against.map(|index| catalog::find(offered, index, "against", "campaigns")).transpose()?;
-    let mut loading = one.poll()?;
-    if let Some(other) = other {
-        loading |= other.poll()?;
+    let mut shown = vec![CampaignView { index: request.campaign, name: &one.name, reader: &one.reader }];
+    if let Some((index, other)) = against.zip(other) {
+        shown.push(CampaignView { index, name: &other.name, reader: &other.reader });
     }
-    // Locks are taken in the order of indices, so that (a, b) and (b, a) cannot deadlock.
-    let (first, second) = match other {
-        Some(other) if against < Some(request.campaign) => {
-            let other = other.lock_reader();
-            (one.lock_reader(), Some(other))
-        }
-        other => (one.lock_reader(), other.map(CatalogCampaign::lock_reader)),
-    };
-    let mut shown = vec![CampaignView { index: request.campaign, name: &one.name, reader: &first }];
-    if let (Some(look), Some(index), Some(other)) = (&second, against, other) {
-        shown.push(CampaignView { index, name: &other.name, reader: look });
-    }
-    let look: &CampaignReader = &first;
+    let look = &one.reader;
     let coordinates = look.space().coordinate_names();
     let place = |field: &str, name: &Option<String>, otherwise: usize| match name {
         None => Ok(otherwise.min(coordinates.len().saturating_sub(1))),
@@ -133,7 +87,7 @@ pub(crate) fn show_campaigns(
             .ok_or_else(|| RequestError::invalid(field, "not a parameter of this campaign")),
     };
     let (x, y) = (place("across", &request.x_parameter, 0)?, place("up", &request.y_parameter, 1)?);
-    let kinds = failure_kinds(look);
+    let kinds = look.summary().failures.iter().map(|kind| kind.kind.clone()).collect();
     let chosen = EvaluationFilter { method: request.method.as_deref(), kind: request.kind.as_deref() };
     let name = |place: usize| coordinates.get(place).cloned().unwrap_or_default();
     let maps = html! {
@@ -147,14 +101,11 @@ pub(crate) fn show_campaigns(
         }
     };
     Ok(CampaignResponse {
-        running: shown.iter().any(|one| one.reader.summary().is_none()),
-        loading,
         summaries: shown.iter().map(summary_line).collect(),
         x_parameter: name(x),
         y_parameter: name(y),
         methods: look.methods().iter().map(Method::to_string).collect(),
         best: escape_markup(figures::best_robustness_figure(&shown, request.narrow)),
-        front: escape_markup(figures::pareto_front_figure(&shown, request.narrow)),
         maps: escape_markup(maps),
         distinct: escape_markup(
             shown.iter().map(distinct_failures_table).fold(html! {}, |before, next| html! { (before) (next) }),
@@ -191,32 +142,18 @@ impl EvaluationFilter<'_> {
     }
 }
 
-fn failure_kinds(look: &CampaignReader) -> Vec<String> {
-    if let Some(summary) = look.summary().filter(|summary| !summary.failures.is_empty()) {
-        return summary.failures.iter().map(|kind| kind.kind.clone()).collect();
-    }
-    let mut counts: BTreeMap<String, usize> = BTreeMap::new();
-    for kind in look.evaluations().iter().filter_map(|(_, evaluated)| look.describe_failure(evaluated)) {
-        *counts.entry(kind).or_default() += 1;
-    }
-    let mut kinds: Vec<_> = counts.into_iter().collect();
-    kinds.sort_by_key(|(_, count)| std::cmp::Reverse(*count));
-    kinds.into_iter().map(|(kind, _)| kind).collect()
-}
-
 fn summary_line(shown: &CampaignView<'_>) -> String {
     let CampaignView { name, reader: look, .. } = shown;
     let (made, all) = (look.evaluations().len(), look.total_evaluations());
     let failing = look.evaluations().iter().filter(|(_, evaluated)| evaluated.verdict.is_violation()).count();
     let stage = match look.summary() {
-        None => format!("running, {made} of {all} evaluations so far, {failing} fail"),
-        Some(summary) if summary.methods.iter().any(|method| method.evaluations > 0) && made == 0 => {
+        summary if summary.methods.iter().any(|method| method.evaluations > 0) && made == 0 => {
             format!("complete, {all} evaluations, none of them logged")
         }
-        Some(_) if made < usize::try_from(all).unwrap_or(usize::MAX) && made >= MAX_READ_EVALUATIONS => {
+        _ if made < usize::try_from(all).unwrap_or(usize::MAX) && made >= MAX_READ_EVALUATIONS => {
             format!("complete; of {all} evaluations the first {made} are shown, {failing} of which fail")
         }
-        Some(_) => format!("complete, {made} evaluations, {failing} fail"),
+        _ => format!("complete, {made} evaluations, {failing} fail"),
     };
     let (controller, space) = (look.controller(), look.space().name());
     TerminalText(&format!(
@@ -228,9 +165,7 @@ fn summary_line(shown: &CampaignView<'_>) -> String {
 }
 
 fn distinct_failures_table(shown: &CampaignView<'_>) -> Markup {
-    let Some(summary) = shown.reader.summary() else {
-        return html! { p.hint { (TerminalText(shown.name)) ": the distinct failures follow after the search." } };
-    };
+    let summary = shown.reader.summary();
     html! {
         @if summary.counterexamples.is_empty() { p { (TerminalText(shown.name)) ": no failure was found. That does \
             not prove that none exists." } }
@@ -262,19 +197,13 @@ fn failures_table(shown: &[CampaignView<'_>], chosen: &EvaluationFilter<'_>) -> 
         let mut failing: Vec<_> = rows
             .filter(|(_, (method, evaluated))| chosen.classify(one.reader, method, evaluated) == Some(true))
             .collect();
-        let order = if one.reader.summary().is_some() {
-            failing.sort_by(|(_, (_, a)), (_, (_, b))| a.verdict.robustness.total_cmp(&b.verdict.robustness));
-            "severest"
-        } else {
-            failing.reverse();
-            "latest"
-        };
+        failing.sort_by(|(_, (_, a)), (_, (_, b))| a.verdict.robustness.total_cmp(&b.verdict.robustness));
         let all = failing.len();
         failing.truncate(MAX_LISTED);
         html! { @if all > 0 { div.scroll tabindex="0" { table {
             caption {
                 (TerminalText(one.name)) ": " (all) " failing evaluations"
-                @if all > failing.len() { ", the " (failing.len()) " " (order) }
+                @if all > failing.len() { ", the " (failing.len()) " severest" }
             }
             thead { tr {
                 th scope="col" { "evaluation" } th scope="col" { "what happens" }

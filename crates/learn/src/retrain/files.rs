@@ -11,7 +11,6 @@ use crumple_world::scenario::space::ScenarioSpace;
 
 pub(super) const REPORT_JSON: &str = "report.json";
 pub(super) const REPORT_MARKDOWN: &str = "report.md";
-pub(super) const REPORT_SVG: &str = "report.svg";
 /// Record that completes a round.
 pub(super) const ROUND_RECORD: &str = "round.json";
 pub(super) const POLICY: &str = "policy.safetensors";

@@ -6,13 +6,11 @@ use std::sync::Arc;
 use serde::{Deserialize, Serialize};
 
 use super::files::{
-    PLAN, POLICY, REPORT_JSON, REPORT_MARKDOWN, REPORT_SVG, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET,
+    PLAN, POLICY, REPORT_JSON, REPORT_MARKDOWN, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET,
     scenarios_sha256, space_sha256,
 };
-use super::report::RetrainingReport;
 use super::{RetrainError, SearchedSpaces};
-use crumple_store::difference;
-use crumple_store::run_folder::{RunFolder, RunFolderError, RunFolderOptions};
+use crumple_store::run_folder::{RunFolder, RunFolderOptions};
 
 use crate::rl::{TrainingConfig, TrainingConfigError, action_bounds, is_default};
 use crumple_search::falsify::Method;
@@ -48,8 +46,6 @@ pub struct RetrainingPlan {
     pub seed: u64,
     /// Sizes of all parts.
     pub settings: RetrainingSettings,
-    /// Function that renders the figure of the report as SVG.
-    pub render_svg: fn(&RetrainingReport) -> String,
 }
 
 /// Sizes of the parts of a retraining.
@@ -244,16 +240,10 @@ impl RetrainingPlan {
                 TEST_SET,
                 REPORT_JSON,
                 REPORT_MARKDOWN,
-                REPORT_SVG,
                 "rounds/",
             ],
         };
-        match RunFolder::open(folder, asked) {
-            Err(RunFolderError::OtherConfiguration { path, found, .. }) => {
-                Err(RetrainError::Folder(difference::describe_toml(&path, "retraining", &found, &configuration)))
-            }
-            work => Ok(work?),
-        }
+        Ok(RunFolder::open(folder, asked)?)
     }
 }
 

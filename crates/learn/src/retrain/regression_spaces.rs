@@ -149,7 +149,6 @@ mod tests {
             method: Method::Uniform,
             seed: 0,
             settings: RetrainingSettings { nominal: 20, regression: 60, ..RetrainingSettings::DEFAULT },
-            render_svg: |_| String::new(),
         };
         let mut kept_aside = Corpus::empty(&plan.spaces, VALIDATION_SET_SEED).unwrap();
         while kept_aside.avoidable < 60 {

@@ -5,7 +5,7 @@ mod markdown;
 use serde::{Deserialize, Serialize};
 
 use super::files::{
-    POLICY, REPORT_JSON, REPORT_MARKDOWN, REPORT_SVG, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET, to_json,
+    POLICY, REPORT_JSON, REPORT_MARKDOWN, SELECTION_SET, TEST_SET, TRAINING_CASES, VALIDATION_SET, to_json,
 };
 use super::plan::{RETRAIN_VERSION, RetrainingPlan, RetrainingSettings};
 use super::round::Round;
@@ -132,12 +132,9 @@ impl RetrainingReport {
         self.rounds.iter().any(|round| round.acceptance.is_accepted())
     }
 
-    pub(super) fn write_files(&self, work: &RunFolder, picture: String) -> Result<(), RetrainError> {
+    pub(super) fn write_files(&self, work: &RunFolder) -> Result<(), RetrainError> {
         let mut changes = work.transaction();
-        changes
-            .write(REPORT_MARKDOWN, self.to_markdown())
-            .write(REPORT_SVG, picture)
-            .write(REPORT_JSON, to_json(self)?);
+        changes.write(REPORT_MARKDOWN, self.to_markdown()).write(REPORT_JSON, to_json(self)?);
         Ok(changes.commit()?)
     }
 

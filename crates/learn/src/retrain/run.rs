@@ -92,7 +92,7 @@ impl RetrainingPlan {
         let contenders = witnesses(&[initial, named_policy(RETRAINED_NAME, &policy)]);
         let evaluated = TestSetResults::load_or_evaluate((&work, TEST_SET), self, &contenders, watch)?;
         let report = RetrainingReport::new(self, &work, (first, standing), rounds, ending, evaluated)?;
-        report.write_files(&work, (self.render_svg)(&report))?;
+        report.write_files(&work)?;
         work.finish()?;
         Ok(report)
     }

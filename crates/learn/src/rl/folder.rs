@@ -12,7 +12,6 @@ use super::evaluation::{EvaluationSet, PolicyEvaluation, count_unseen_contacts};
 use super::runner::{TrainingEvent, TrainingRecorder, train_with_recorder};
 use super::trainer::{Trainer, TrainingError};
 use crumple_core::observer::Observer;
-use crumple_store::difference;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::{MANIFEST_FILE, RunFolder, RunFolderError, RunFolderOptions};
 
@@ -206,7 +205,7 @@ pub fn read_finished_trainings(
     Ok(finished)
 }
 
-/// Opens the run folder of a seed. If its configuration differs, the error lists the differences.
+/// Opens the run folder of a seed.
 fn open_run_folder(out: &Path, config: &TrainingConfig, seed: u64, resume: bool) -> Result<RunFolder, TrainingError> {
     let folder = seed_folder(out, seed);
     let configuration = training_identity(config, seed)?;
@@ -217,14 +216,7 @@ fn open_run_folder(out: &Path, config: &TrainingConfig, seed: u64, resume: bool)
         resume,
         outputs: &[CONFIGURATION, LOG, CHECKPOINT, POLICY, RESULT],
     };
-    match RunFolder::open(&folder, asked) {
-        Err(RunFolderError::OtherConfiguration { path, found, .. }) => {
-            let episodes = TrainingConfig::parse(&found, &path).map_or(config.episodes, |found| found.episodes);
-            let expected = config_toml(&TrainingConfig { episodes, ..config.clone() })?;
-            Err(TrainingError::OtherTraining(difference::describe_toml(&path, "training", &found, &expected)))
-        }
-        work => Ok(work?),
-    }
+    Ok(RunFolder::open(&folder, asked)?)
 }
 
 /// Returns everything that determines a training, except the number of episodes, which may grow.

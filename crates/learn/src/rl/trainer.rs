@@ -83,9 +83,6 @@ pub enum TrainingError {
     /// The configuration cannot be encoded.
     #[error("the configuration cannot be written as TOML: {0}")]
     ConfigEncoding(toml::ser::Error),
-    /// The folder holds another training.
-    #[error("{0}")]
-    OtherTraining(String),
     /// The folder cannot be used, or a file in it is damaged.
     #[error(transparent)]
     RunFolder(#[from] RunFolderError),

@@ -45,9 +45,6 @@ pub enum TuneError {
     /// The folder cannot be used, or a file in it is damaged.
     #[error(transparent)]
     RunFolder(#[from] RunFolderError),
-    /// The folder holds another tuning.
-    #[error("{0}")]
-    Folder(String),
     /// A scenario cannot be run.
     #[error(transparent)]
     Run(#[from] RunError),

@@ -8,8 +8,7 @@ use super::objective::ScoringSet;
 use super::{SettingSearch, TuneError, TuningObjective, TuningSpace};
 use crumple_core::digest::sha256;
 use crumple_search::falsify::Method;
-use crumple_store::difference;
-use crumple_store::run_folder::{RunFolder, RunFolderError, RunFolderOptions};
+use crumple_store::run_folder::{RunFolder, RunFolderOptions};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::derived_seed;
 
@@ -167,11 +166,6 @@ impl TuningPlan {
             resume,
             outputs: &[PLAN, CANDIDATES, REPORT_JSON, REPORT_MARKDOWN],
         };
-        match RunFolder::open(folder, options) {
-            Err(RunFolderError::OtherConfiguration { path, found, .. }) => {
-                Err(TuneError::Folder(difference::describe_toml(&path, "tuning", &found, &configuration)))
-            }
-            work => Ok(work?),
-        }
+        Ok(RunFolder::open(folder, options)?)
     }
 }

@@ -42,11 +42,6 @@ pub enum RoundedAvoidance {
 }
 
 impl RoundedAvoidance {
-    /// Computes the avoidance of a scenario, without a certificate of the bound.
-    pub(super) fn compute(scenario: &Scenario) -> Self {
-        CertifiedAvoidance::compute(scenario, AvoidOptions::default()).avoidance
-    }
-
     fn from_avoidance(
         scenario: &Scenario,
         Avoidance { verdict, min_gap_bound_m, bound_certificate, .. }: &Avoidance,

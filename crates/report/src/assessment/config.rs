@@ -90,16 +90,11 @@ pub struct SearchConfig {
     pub spaces: Option<Vec<String>>,
     /// Simulations of the search, and of each reference search. Default 400.
     pub budget: u64,
-    /// Specifications besides the absence of collisions, each falsified separately with that budget: conduct
-    /// requirements or formulas, in the syntax of `crumple falsify --spec`. Default none.
-    #[serde(skip_serializing_if = "Vec::is_empty")]
-    #[serde(rename = "rules")]
-    pub specifications: Vec<String>,
 }
 
 impl Default for SearchConfig {
     fn default() -> Self {
-        Self { spaces: None, budget: 400, specifications: Vec::new() }
+        Self { spaces: None, budget: 400 }
     }
 }
 

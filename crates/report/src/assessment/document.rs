@@ -2,7 +2,6 @@
 
 use maud::{Markup, PreEscaped, Render, html};
 
-use super::CrumpleCommand;
 use super::markdown::Markdown;
 use super::prose::prose_to_html;
 use super::table::ReportTable;
@@ -44,10 +43,6 @@ impl ReportDocument {
 
     pub(super) fn figure(&mut self, figure: impl Render) {
         self.push_html(html! { figure { (figure) } });
-    }
-
-    pub(super) fn commands<'a>(&mut self, commands: impl IntoIterator<Item = &'a CrumpleCommand>) {
-        self.push_html(html! { ul { @for command in commands { li { code { (command) } } } } });
     }
 
     pub(super) fn markdown_mut(&mut self) -> &mut Markdown {

@@ -44,11 +44,10 @@ pub use parts::{
     CertificateStatus, CertificateSubject, CheckedCertificate, ClaimRow, ClaimSummary, ComparisonError, ControllerHarm,
     ControllerSample, ControllerUsefulness, DistinctFailure, EXAMPLE_MPS, EarlierAssessment, EscapeFile, FailureSearch,
     FailureSearches, FileScenarios, FirstPage, Glossary, GsnElement, GsnElementKind, HarmGroup, HarmReport, KernelGap,
-    LimitingAssumption, MAX_EVIDENCE_BYTES, MethodResult, MildestAttack, NameExplanation, PairedCounts, PaperScenarios,
+    LimitingAssumption, MAX_EVIDENCE_BYTES, MethodResult, NameExplanation, PairedCounts, PaperScenarios,
     ParameterDescription, PercentInterval, Proofs, RunInfo, SafetyAnswer, ScenarioCases, SpaceDescription,
-    SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches, SpaceSpecificationSearches, SpecificationSearch,
-    SpecificationSearches, SpecificationViolation, StringStabilityVerdict, SuiteFailure, SuiteFindings, SuiteOutcome,
-    SuiteTest, Suites, UsefulnessReport, WorstProfile, WorstProfiles,
+    SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches, StringStabilityVerdict, SuiteFailure, SuiteFindings,
+    SuiteOutcome, SuiteTest, Suites, UsefulnessReport,
 };
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
@@ -57,17 +56,15 @@ pub use rounded::Rounded;
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress, Stopped};
 use crumple_evidence::{InvalidRate, RateError};
 use crumple_search::falsify::campaign::CampaignError;
-use crumple_search::worst_case::AttackError;
 use crumple_store::run_folder::{MANIFEST_FILE, manifest_text};
 use crumple_suites::SuiteRunError;
-use crumple_world::measure::SpecificationError;
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::{RefusedController, RunError};
 use gather_context::GatherContext;
 use parts::GatheredEvidence;
 
 /// Version of the JSON evidence that this release writes.
-pub const EVIDENCE_VERSION: u32 = 3;
+pub const EVIDENCE_VERSION: u32 = 4;
 
 /// All results of an assessment.
 #[derive(Debug, Clone, Serialize)]
@@ -97,12 +94,6 @@ pub struct AssessmentReport {
     pub suites: Option<Suites>,
     /// Results of searches for failures.
     pub searches: FailureSearches,
-    /// Results of searches for violated specifications; absent if the configuration names none.
-    #[serde(skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "rules")]
-    pub specification_searches: Option<SpecificationSearches>,
-    /// Mildest braking of the leader against each controller.
-    pub worst_profiles: Option<WorstProfiles>,
     /// Behaviour of each controller in everyday traffic; absent if the plan makes no such drives.
     pub usefulness: Option<UsefulnessReport>,
     /// Proved claims.
@@ -158,9 +149,6 @@ pub enum AssessError {
     /// A random scenario of a space is invalid.
     #[error("a random scenario is invalid: {0}")]
     Draw(#[from] InvalidField),
-    /// The search for the worst braking fails.
-    #[error(transparent)]
-    Attack(#[from] AttackError),
     /// The search for failures fails.
     #[error(transparent)]
     Campaign(#[from] CampaignError),
@@ -177,8 +165,6 @@ pub enum AssessError {
     #[error(transparent)]
     Cache(#[from] CacheError),
     /// A specification does not fit a space.
-    #[error("a specification does not fit its space: {0}")]
-    Specification(#[from] SpecificationError),
     /// A controller contradicted itself, or can no longer be started.
     #[error(transparent)]
     Refused(#[from] RefusedController),
@@ -225,8 +211,6 @@ pub fn assess(
     let traffic = FileScenarios::gather(&work)?;
     let suites = Suites::gather(&work)?;
     let searches = FailureSearches::gather(&work)?;
-    let rules = SpecificationSearches::gather(&work)?;
-    let worst_profiles = WorstProfiles::gather(&work)?;
     let usefulness = UsefulnessReport::gather(&work)?;
     let scenarios = paper_scenarios.iter().flat_map(|paper| &paper.scenarios);
     let scenarios = scenarios.chain(traffic.iter().flat_map(|traffic| &traffic.scenarios));
@@ -238,9 +222,7 @@ pub fn assess(
         rate_spaces: &rate_spaces,
         traffic: traffic.as_ref(),
         suites: suites.as_ref(),
-        worst: worst_profiles.as_ref(),
         searches: &searches,
-        rules: rules.as_ref(),
         usefulness: usefulness.as_ref(),
         proofs: &proofs,
     };
@@ -263,8 +245,6 @@ pub fn assess(
         file_scenarios: traffic,
         suites,
         searches,
-        specification_searches: rules,
-        worst_profiles,
         usefulness,
         proofs,
         limits,
@@ -285,10 +265,9 @@ impl AssessmentPlan {
         let controllers = self.controllers.len() as u64;
         let scenarios = (crumple_world::scenario::built_in_scenario_names().len() + self.file_scenarios.len()) as u64;
         // A search has a method and two reference searches.
-        let searched_by = 1 + self.config.search.specifications.len() as u64;
-        let searches = 3 * self.search_spaces.len() as u64 * self.config.search.budget * searched_by;
+        let searches = 3 * self.search_spaces.len() as u64 * self.config.search.budget;
         let drawn = self.config.draws * self.rate_spaces.len() as u64 * if self.config.harm.is_some() { 2 } else { 1 };
-        let each = scenarios + drawn + searches + parts::ATTACK_BUDGET as u64;
+        let each = scenarios + drawn + searches;
         let learned = self.controllers.iter().filter(|controller| controller.kind.is_learned()).count() as u64;
         let driven = controllers.saturating_mul(2 * self.config.everyday_draws);
         let counted = self.rate_spaces.len() as u64 * (learned + 1);
@@ -317,7 +296,6 @@ impl AssessmentReport {
         parts.extend(is_drawn.then_some(&self.rate_spaces as &dyn ReportPart));
         parts.extend(self.harm.as_ref().map(|harm| harm as &dyn ReportPart));
         parts.extend(is_searched.then_some(&self.searches as &dyn ReportPart));
-        parts.extend(self.specification_searches.as_ref().map(|rules| rules as &dyn ReportPart));
         parts.extend(self.usefulness.as_ref().map(|usefulness| usefulness as &dyn ReportPart));
         parts.extend([&self.proofs as &dyn ReportPart, &self.limits]);
         parts
@@ -326,10 +304,7 @@ impl AssessmentReport {
     /// Returns the parts of the appendix.
     #[must_use]
     pub fn appendix(&self) -> Vec<&dyn ReportPart> {
-        let mut parts: Vec<&dyn ReportPart> = Vec::new();
-        parts.extend(self.worst_profiles.as_ref().map(|worst| worst as &dyn ReportPart));
-        parts.extend([&self.space_descriptions as &dyn ReportPart, &Glossary, &self.provenance]);
-        parts
+        vec![&self.space_descriptions, &Glossary, &self.provenance]
     }
 
     /// Returns the report as one self-contained HTML page.
@@ -379,11 +354,8 @@ impl AssessmentReport {
         let needed = self.command_files.iter().map(|needed| (needed.file.clone(), needed.contents.clone()));
         let failures = self.searches.failures().flat_map(DistinctFailure::files);
         let of_suites = self.suites.iter().flat_map(Suites::files);
-        let of_rules = self.specification_searches.iter().flat_map(SpecificationSearches::files);
-        let mut all: Vec<_> = texts.chain(failures).chain(of_suites).chain(of_rules).chain(needed).collect();
-        // Exports to other simulators can be generated from the counterexamples, so a stored report may omit them.
-        let is_kept = |(name, _): &&(String, Vec<u8>)| !name.ends_with(".xosc") && !name.ends_with(".xodr");
-        let contents = all.iter().filter(is_kept).map(|(name, contents)| (name.as_str(), contents.as_slice()));
+        let mut all: Vec<_> = texts.chain(failures).chain(of_suites).chain(needed).collect();
+        let contents = all.iter().map(|(name, contents)| (name.as_str(), contents.as_slice()));
         let manifest = manifest_text(REPORT_KIND, &self.provenance.config_sha256, contents)?;
         all.push((MANIFEST_FILE.to_owned(), manifest.into_bytes()));
         Ok(all)
@@ -393,8 +365,7 @@ impl AssessmentReport {
     pub fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
         let failures = self.searches.failures().flat_map(DistinctFailure::commands);
         let of_suites = self.suites.iter().flat_map(Suites::commands);
-        let of_rules = self.specification_searches.iter().flat_map(SpecificationSearches::commands);
-        failures.chain(of_suites).chain(of_rules).chain(self.worst_profiles.iter().flat_map(WorstProfiles::commands))
+        failures.chain(of_suites)
     }
 }
 

@@ -13,8 +13,6 @@ use super::parts;
 use super::planned_suite::PlannedSuite;
 use crumple_core::digest::sha256;
 use crumple_world::control::ControllerSpec;
-use crumple_world::measure::Specification;
-use crumple_world::measure::stl::Formula;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::recording::{DroppedItem, ImportOptions, ImportResult, ImportedScenario, import};
@@ -140,12 +138,6 @@ impl AssessmentPlan {
         let loading = PlanLoader { path, text: &text, folder: path.parent().unwrap_or(Path::new("")) };
         let controllers = loading.load_controllers(&config)?;
         loading.build_plan(config, controllers)
-    }
-
-    /// Returns warnings about specifications that are evaluated only at the first instant.
-    pub fn warnings(&self) -> impl Iterator<Item = String> {
-        let formulas = self.config.search.specifications.iter().filter_map(|rule| rule.parse::<Formula>().ok());
-        formulas.filter_map(|formula| Some(format!("search.rules: {}", formula.warning()?)))
     }
 
     /// True if a gate needs an earlier assessment to compare with.
@@ -292,7 +284,6 @@ impl PlanLoader<'_> {
         let file_scenarios = self.load_scenarios(&config, recorded)?;
         let search_spaces = self.load_spaces("search.spaces", &config.search_spaces())?;
         let rate_spaces = self.load_spaces("distributions", &config.rate_spaces())?;
-        self.normalize_specifications(&mut config.search.specifications, &search_spaces)?;
         let clash = rate_spaces.iter().find(|one| {
             search_spaces
                 .iter()
@@ -320,28 +311,6 @@ impl PlanLoader<'_> {
             Some(paths) => self.load_certificates(&paths, &parts::generated_certificate_names(&plan))?,
         };
         Ok(plan)
-    }
-
-    /// Checks that every specification fits every searched space, and normalizes its text.
-    fn normalize_specifications(&self, rules: &mut [String], spaces: &[NamedSpace]) -> Result<(), AssessConfigError> {
-        let mut earlier: Vec<String> = Vec::new();
-        for (index, rule) in rules.iter_mut().enumerate() {
-            let wrong = |problem: String| self.field_error(&format!("search.rules[{index}]"), problem);
-            if rule == Specification::NO_CONTACT {
-                return Err(wrong("the search always looks for collisions; remove this entry".to_owned()));
-            }
-            for named in spaces {
-                let nominal = named.space.scenario(&named.space.nominal());
-                let nominal = nominal.map_err(|error| wrong(error.to_string()))?;
-                let read = Specification::parse(rule, &nominal);
-                *rule = read.map_err(|error| wrong(format!("in {}: {error}", named.name)))?.to_string();
-            }
-            if earlier.contains(rule) {
-                return Err(wrong(format!("`{rule}` appears twice; remove one")));
-            }
-            earlier.push(rule.clone());
-        }
-        Ok(())
     }
 
     fn add_controller(

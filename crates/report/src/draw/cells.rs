@@ -5,7 +5,7 @@ use std::fmt::Write;
 use maud::{Markup, html};
 
 use super::label::{PixelRect, text_width};
-use super::panel::{Anchor, Marker, draw_line, draw_marker, draw_text};
+use super::panel::{Anchor, draw_line, draw_text};
 use super::theme::{Ink, Stroke, TEXT_SIZE};
 
 /// Height of a row of the legend, and side of a sample in it, in pixels.
@@ -19,15 +19,6 @@ pub enum CellStyle {
     Blank,
     /// Crossed, on an alert background.
     Crossed,
-}
-
-/// An entry of a legend.
-#[derive(Debug, Clone, Copy)]
-pub enum LegendEntry<'a> {
-    /// A line and its meaning.
-    Line(Stroke, &'a str),
-    /// A marker and its meaning.
-    Mark(Marker, &'a str),
 }
 
 /// Draws all cells of one style.
@@ -56,13 +47,12 @@ pub fn draw_cells(look: CellStyle, frames: impl Iterator<Item = PixelRect>) -> M
     }
 }
 
-/// Draws a legend in rows no wider than the figure, and returns its height.
+/// Draws a legend of lines and their meanings, in rows no wider than the figure, and returns its height.
 #[must_use]
-pub fn draw_legend(entries: &[LegendEntry<'_>], width: f64) -> (Markup, f64) {
+pub fn draw_legend(entries: &[(Stroke, &str)], width: f64) -> (Markup, f64) {
     let (mut x, mut row) = (0.0, 0.0);
     let mut drawn = Vec::new();
-    for entry in entries {
-        let (LegendEntry::Line(_, text) | LegendEntry::Mark(_, text)) = *entry;
+    for &(stroke, text) in entries {
         let wide = SWATCH_SIZE + 7.0 + text_width(text, TEXT_SIZE);
         if x > 0.0 && x + wide > width {
             (x, row) = (0.0, row + 1.0);
@@ -71,10 +61,7 @@ pub fn draw_legend(entries: &[LegendEntry<'_>], width: f64) -> (Markup, f64) {
         let sample = PixelRect::from_center((x + SWATCH_SIZE / 2.0 + 1.0, y), SWATCH_SIZE, SWATCH_SIZE);
         let after = x + SWATCH_SIZE + 7.0;
         drawn.push(html! {
-            @match entry {
-                LegendEntry::Mark(marker, _) => (draw_marker((sample.left + SWATCH_SIZE / 2.0, y), *marker, Ink::Text))
-                LegendEntry::Line(stroke, _) => (draw_line((sample.left, y), (sample.right(), y), *stroke))
-            }
+            (draw_line((sample.left, y), (sample.right(), y), stroke))
             (draw_text((after, y + TEXT_SIZE * 0.35), Anchor::Start, text, TEXT_SIZE, Ink::Text, false))
         });
         x += wide + 16.0;

@@ -30,12 +30,12 @@ use maud::{Markup, PreEscaped, html};
 
 pub use animation::{ANIMATION_SCRIPT, ANIMATION_STYLE, draw_animation};
 pub use axis::{Axis, BOTTOM_MARGIN, LEFT_MARGIN};
-pub use cells::{CellStyle, LegendEntry, draw_cells, draw_legend};
+pub use cells::{CellStyle, draw_cells, draw_legend};
 pub use label::{PixelRect, text_width};
 pub use motion::{MotionFigure, PanelArrangement, draw_motion, draw_motion_on_axes, draw_motion_responsive};
 pub(crate) use motion::{draw_motion_columns, draw_motions_side_by_side};
 pub use motion_axes::MotionAxes;
-pub use panel::{Anchor, HEADING_HEIGHT, Marker, Panel, draw_marker, draw_text};
+pub use panel::{Anchor, HEADING_HEIGHT, Marker, Panel, draw_text};
 pub(crate) use path::PixelPoint;
 #[cfg(feature = "png")]
 pub use png::DrawError;

@@ -14,12 +14,8 @@ const TAG_HEIGHT: f64 = 14.0;
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 #[non_exhaustive]
 pub enum Marker {
-    /// A filled disc.
-    Disc,
     /// A ring.
     Ring,
-    /// A filled square.
-    Square,
     /// A diagonal cross.
     Cross,
     /// A star with eight points: collision.
@@ -229,14 +225,10 @@ pub(crate) fn draw_line(from: PixelPoint, to: PixelPoint, stroke: Stroke) -> Mar
 
 /// Draws a marker with a thin halo at a point, in pixels.
 #[must_use]
-pub fn draw_marker((x, y): PixelPoint, marker: Marker, ink: Ink) -> Markup {
+pub(crate) fn draw_marker((x, y): PixelPoint, marker: Marker, ink: Ink) -> Markup {
     let (paper, ink) = (Ink::Paper.hex(), ink.hex());
     match marker {
-        Marker::Disc => html! { circle cx=(Px(x)) cy=(Px(y)) r="3.2" fill=(ink) stroke=(paper) {} },
         Marker::Ring => html! { circle cx=(Px(x)) cy=(Px(y)) r="3.6" fill=(paper) stroke=(ink) stroke-width="1.6" {} },
-        Marker::Square => html! {
-            rect x=(Px(x - 3.0)) y=(Px(y - 3.0)) width="6" height="6" fill=(ink) stroke=(paper) {}
-        },
         Marker::Cross => html! {
             path d={ "M" (Px(x - 3.2)) " " (Px(y - 3.2)) "l6.4 6.4m0-6.4l-6.4 6.4" } stroke=(ink) stroke-width="1.6" {}
         },

@@ -2,7 +2,6 @@
 
 mod description;
 mod junit;
-mod page;
 mod table;
 
 use std::fmt::Write;
@@ -15,7 +14,6 @@ pub(crate) use description::{
     describe_min_margins, describe_preventability, describe_verdict, describe_worst_in_tolerance,
 };
 pub use junit::render_junit;
-pub use page::render_html;
 pub use table::render_markdown_table;
 
 /// Renders the matrix of clause, test, controller, verdict and margin, the failures, and the limits. `replay` returns

@@ -1,12 +1,10 @@
 //! Worst-case braking profiles of the leader: the least braking that makes a controller collide, or the fastest impact.
 
-use super::exact;
 use super::profile_simulator::ProfileSimulator;
 use super::sequential;
 use crumple_core::observer::{Observer, RunProgress, Stopped};
-use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::{Driver, InvalidField, Scenario};
-use crumple_world::sim::{ControllerKind, Outcome, RunError, RunOptions};
+use crumple_world::sim::{Outcome, RunError, RunOptions};
 
 /// Objective of an attack.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -63,30 +61,6 @@ impl Envelope {
     }
 }
 
-/// Method that found an attack.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-#[serde(rename_all = "kebab-case")]
-pub enum AttackMethod {
-    /// Enumeration of the steps at which the controller's brake fires: no milder profile on this grid collides.
-    Exact,
-    /// Enumeration without noise and filter, then more braking until a collision: near the optimum, without proof.
-    Widened,
-    /// Simulation of pulses and ramps, then sequential convex programming from the best: the best profile found.
-    Sequential,
-}
-
-impl AttackMethod {
-    /// Returns the kind of optimality, as results name it: `exact-on-grid` or `best-found`.
-    #[must_use]
-    pub fn optimality(self) -> &'static str {
-        match self {
-            Self::Exact => "exact-on-grid",
-            Self::Widened | Self::Sequential => "best-found",
-        }
-    }
-}
-
 /// A braking profile, with the results of its replay.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Attack {
@@ -106,8 +80,6 @@ pub struct Attack {
     pub evaluations: usize,
     /// Number of convex programs solved.
     pub programs: usize,
-    /// Method that found it.
-    pub method: AttackMethod,
 }
 
 /// Result of an attack.
@@ -228,14 +200,7 @@ pub fn attack(
     // ill-conditioned.
     let boundless_mps3 = 2.0 * max_brake_mps2 / bench.cell_s();
     bench.envelope.jerk_mps3 = envelope.jerk_mps3.min(boundless_mps3);
-    let found = if aim != AttackObjective::Severest
-        && let ControllerKind::BuiltIn(ControllerSpec::Baseline(aeb)) = &options.controller
-        && exact::is_applicable(scenario)
-    {
-        exact::find_mildest(&mut bench, aeb.ttc_s, aim, budget)?
-    } else {
-        sequential::attack(&mut bench, aim, budget)?
-    };
+    let found = sequential::attack(&mut bench, aim, budget)?;
     Ok(AttackResult { attack: found, evaluations: bench.evaluations, programs: bench.programs })
 }
 

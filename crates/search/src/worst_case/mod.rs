@@ -10,8 +10,7 @@
 //! - *undecided*, with an [`UndecidedReason`].
 //!
 //! **Worst-case braking** ([`attack()`]). The search finds the mildest braking of the leader that makes a controller
-//! collide, or the fastest impact. It is exact for the baseline, whose motion follows from its firing step (`exact`).
-//! For other controllers it combines pulses, ramps and sequential convex programming (`pulses`, `sequential`).
+//! collide, or the fastest impact, by pulses, ramps and sequential convex programming (`pulses`, `sequential`).
 //!
 //! **Sensor faults** ([`attack_sensors`]). A scan and a bisection find the mildest fault of each kind that makes a
 //! controller collide or brake unnecessarily (`sensor_attack`).
@@ -28,9 +27,7 @@ mod descent;
 mod emergency_brake;
 mod envelope_step;
 mod escape;
-mod exact;
 mod firing_search;
-mod leader_program;
 mod multipliers;
 mod profile_simulator;
 mod program;
@@ -42,8 +39,7 @@ mod sensor_attack;
 mod sequential;
 
 pub use attack::{
-    Attack, AttackError, AttackMethod, AttackObjective, AttackResult, Envelope, MAX_TOTAL_VEHICLE_STEPS,
-    MAX_VEHICLE_STEPS, attack,
+    Attack, AttackError, AttackObjective, AttackResult, Envelope, MAX_TOTAL_VEHICLE_STEPS, MAX_VEHICLE_STEPS, attack,
 };
 pub use avoid::{AvoidError, AvoidOptions, MAX_EGO_STEPS, MAX_EGOS, avoid, certify};
 pub use avoidance::{Avoidance, AvoidanceVerdict, Optimality};

@@ -1,6 +1,6 @@
 //! Simulation of a leader's braking profiles, with counts of simulations and programs.
 
-use super::attack::{Attack, AttackError, AttackMethod, AttackObjective, Envelope};
+use super::attack::{Attack, AttackError, AttackObjective, Envelope};
 use super::escape::script_pieces;
 use crumple_core::observer::{Observer, RunProgress};
 use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Scenario};
@@ -72,12 +72,7 @@ impl<'a> ProfileSimulator<'a> {
         Ok(trials)
     }
 
-    pub(super) fn report(
-        &mut self,
-        cells_mps2: &[f64],
-        predicted_margin_m: f64,
-        method: AttackMethod,
-    ) -> Result<Attack, AttackError> {
+    pub(super) fn report(&mut self, cells_mps2: &[f64], predicted_margin_m: f64) -> Result<Attack, AttackError> {
         let scenario = self.with_leader_script(cells_mps2)?.edited(|spec| {
             spec.name = format!("{}-worst", spec.name.chars().take(190).collect::<String>());
             spec.about = format!("A lead braking found by convex programming from {}.", self.scenario.spec().name);
@@ -93,7 +88,6 @@ impl<'a> ProfileSimulator<'a> {
             margin_m: trial.margin_m,
             evaluations: self.evaluations,
             programs: self.programs,
-            method,
             scenario,
         })
     }

@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use super::{AttackMethod, AttackObjective, AttackResult};
+use super::{AttackObjective, AttackResult};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, Outcome};
 
@@ -23,8 +23,8 @@ pub struct AttackReport {
     /// True if some profile makes the controller fail.
     pub found: bool,
     /// Method that found it; `None` if the controller gave no answer.
-    pub method: Option<AttackMethod>,
-    /// `exact-on-grid` or `best-found`; `None` if the controller gave no answer.
+    pub method: Option<&'static str>,
+    /// `best-found`; `None` if the controller gave no answer.
     pub optimality: Option<&'static str>,
     /// Outcome of the simulation with the profile.
     pub outcome: Option<Outcome>,
@@ -62,8 +62,8 @@ impl AttackReport {
             aim: aim.name(),
             nondeterministic: !controller.kind.is_deterministic(),
             found: found.is_some(),
-            method: answered.map(|attack| attack.method),
-            optimality: answered.map(|attack| attack.method.optimality()),
+            method: answered.map(|_| "sequential"),
+            optimality: answered.map(|_| "best-found"),
             outcome: found.map(|attack| attack.outcome.clone()),
             effort_m2ps3: found.map(|attack| attack.effort_m2ps3),
             peak_brake_mps2: found.map(|attack| attack.peak_brake_mps2),

@@ -6,7 +6,7 @@
 //! collision, then along its boundary to a mild one, or further down to a severe one. A milder profile than the result
 //! may exist.
 
-use super::attack::{Attack, AttackError, AttackMethod, AttackObjective};
+use super::attack::{Attack, AttackError, AttackObjective};
 use super::descent::{TRUST_REGION_FACTORS, finite_difference_gradient};
 use super::envelope_step::{EnvelopeStep, HatFunctions, StepGoal};
 use super::profile_simulator::{ProfileOutcome, ProfileSimulator};
@@ -59,7 +59,7 @@ pub(super) fn attack(
         }
     }
     let Some((best, predicted_m)) = best else { return Ok(None) };
-    Ok(Some(search.bench.report(&best.cells_mps2, predicted_m, AttackMethod::Sequential)?))
+    Ok(Some(search.bench.report(&best.cells_mps2, predicted_m)?))
 }
 
 struct AttackSearch<'s, 'a> {

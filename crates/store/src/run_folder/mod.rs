@@ -132,12 +132,7 @@ pub enum RunFolderError {
         path: PathBuf,
         /// Kind of the existing run.
         kind: String,
-        /// Content of that file; empty if it was not written yet.
-        found: String,
     },
-    /// The run has another configuration; the text names the first field that differs, and both values.
-    #[error("{0}")]
-    ConfigurationDiffers(String),
     /// Another build of crumple left the run incomplete.
     #[error("{}: {OTHER_BUILD_MESSAGE}", path.display())]
     OtherBuild {
@@ -209,12 +204,7 @@ impl RunFolder {
                     let problem = "in the same folder does not match it: one of them belongs to another run";
                     return Err(RunFolderError::damaged(&path, format!("the `{name}` {problem}")));
                 }
-                let found = found.read_contents(folder, name)?.unwrap_or_default();
-                return Err(RunFolderError::OtherConfiguration {
-                    path: folder.join(name),
-                    kind: kind(),
-                    found: String::from_utf8_lossy(&found).into_owned(),
-                });
+                return Err(RunFolderError::OtherConfiguration { path: folder.join(name), kind: kind() });
             }
             // Any build may read a complete run.
             Some(found) if found.program.as_deref().is_some_and(|found| found != program) => {

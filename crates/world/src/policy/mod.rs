@@ -119,12 +119,6 @@ impl Policy {
         Arc::clone(&ROAD)
     }
 
-    /// Returns the file of the policy `road`.
-    #[must_use]
-    pub fn road_bytes() -> &'static [u8] {
-        ROAD_BYTES
-    }
-
     /// Returns the header: everything except the weights.
     #[must_use]
     pub fn header(&self) -> &PolicyHeader {

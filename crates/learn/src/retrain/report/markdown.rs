@@ -56,9 +56,6 @@ impl RetrainingReport {
         self.write_test_set(out)?;
         out.push_str("\n## Rounds\n\n");
         // An imitation has a single checkpoint.
-        if episodes > 0 {
-            out.push_str("![Collisions of every checkpoint](report.svg)\n\n");
-        }
         self.write_rounds(out)?;
         writeln!(
             out,

@@ -96,12 +96,6 @@ pub enum Property {
     OthersKeepClear,
     /// String stability: a disturbance does not grow from vehicle to vehicle in a line of these controllers.
     StringStable,
-    /// The subject satisfies a specification.
-    #[serde(rename = "keeps")]
-    Satisfies {
-        /// Specification, in the syntax of `--spec`.
-        rule: String,
-    },
 }
 
 /// The domain of a claim.
@@ -151,11 +145,6 @@ pub enum Domain {
         /// Content of the box.
         around: ContentId,
     },
-    /// A scenario with any braking of its leader that the leader's limits allow.
-    AnyLeaderBraking {
-        /// Scenario.
-        scenario: ContentId,
-    },
     /// Any initial state inside the safety kernels of these brake limits, under the assumptions of the shield.
     Kernels {
         /// Brake limits of the ego vehicle and of its leader, on a dry road, each pair in m/s².
@@ -202,7 +191,6 @@ impl Property {
             Self::PassesTests => "passes every test that can be run".to_owned(),
             Self::OthersKeepClear => "no collision of other vehicles".to_owned(),
             Self::StringStable => "string stability".to_owned(),
-            Self::Satisfies { rule } => rule.clone(),
         }
     }
 
@@ -219,7 +207,6 @@ impl Property {
             Self::PassesTests => "failed tests".to_owned(),
             Self::OthersKeepClear => "collision of other vehicles".to_owned(),
             Self::StringStable => "string instability".to_owned(),
-            Self::Satisfies { rule } => format!("violation of `{rule}`"),
         }
     }
 
@@ -231,7 +218,7 @@ impl Property {
     /// True for a property of every run of a domain: one run refutes it.
     #[must_use]
     pub(crate) fn is_universal(&self) -> bool {
-        matches!(self, Self::NoContact | Self::NoContactAhead | Self::NoUnnecessaryBraking | Self::Satisfies { .. })
+        matches!(self, Self::NoContact | Self::NoContactAhead | Self::NoUnnecessaryBraking)
     }
 }
 
@@ -251,7 +238,6 @@ impl Domain {
             }
             Self::Suite { suite } => format!("of suite `{}`, on point masses in one lane", suite.name),
             Self::Box { around } => format!("from {}", around.name),
-            Self::AnyLeaderBraking { scenario, .. } => format!("in {} for any braking of its leader", scenario.name),
             Self::Kernels { limits_mps2 } => {
                 let hardest = limits_mps2.iter().map(|[_, ahead]| ahead.value()).reduce(f64::max);
                 let ahead =

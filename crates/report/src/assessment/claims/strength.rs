@@ -126,12 +126,6 @@ pub enum Strength {
         #[serde(rename = "because")]
         reason: Option<String>,
     },
-    /// A braking profile of the leader makes the subject fail.
-    #[serde(rename = "defeated")]
-    AttackFound {
-        /// Hardest deceleration of the mildest profile found, in m/s².
-        peak_brake_mps2: Rounded<2>,
-    },
     /// The checker accepted a certificate about part of a box of initial states.
     #[serde(rename = "proved_in")]
     PartlyProved {
@@ -211,7 +205,7 @@ impl Strength {
     #[must_use]
     pub(crate) fn is_refutation(&self) -> bool {
         match self {
-            Self::Refuted { .. } | Self::Falsified { .. } | Self::AttackFound { .. } | Self::Exceeded { .. } => true,
+            Self::Refuted { .. } | Self::Falsified { .. } | Self::Exceeded { .. } => true,
             Self::Compared { own, other, .. } => own > other,
             Self::Unanswered { failures, refutes, .. } => *refutes || *failures > 0,
             _ => false,
@@ -235,7 +229,7 @@ impl Strength {
                 8.0 + within((unanswered + failures) as f64)
             }
             Self::Unanswered { .. } | Self::OtherUnanswered { .. } => 1.4,
-            Self::AttackFound { .. } | Self::Exceeded { .. } | Self::Contradicted => 8.0,
+            Self::Exceeded { .. } | Self::Contradicted => 8.0,
             Self::Proved { certificates } => 7.0 + within(*certificates as f64),
             Self::PartlyProved { share_percent } => 6.0 + within(share_percent.value()),
             Self::Bounded { upper_percent, .. } => 5.0 - within(upper_percent.value()),
@@ -303,9 +297,6 @@ impl Strength {
                 _ => format!("{own} against {other} of {runs} fail"),
             },
             Self::Refuted { failures, runs } => format!("{failures} of {runs} fail"),
-            Self::AttackFound { peak_brake_mps2 } => {
-                format!("collision if the leader brakes at up to {peak_brake_mps2} m/s²")
-            }
             Self::Contradicted => "contradictory evidence".to_owned(),
             Self::Untried => "not shown".to_owned(),
         }
@@ -336,7 +327,6 @@ impl Strength {
             Self::Counted { confidence_percent, .. } => format!("shown ({confidence_percent} %)"),
             Self::NotShownByCounting { .. } => "not shown".to_owned(),
             Self::Compared { own, other, .. } => format!("{own} against {other}"),
-            Self::AttackFound { peak_brake_mps2 } => format!("{peak_brake_mps2} m/s²"),
             Self::Proved { .. } => "proved".to_owned(),
             Self::Contradicted => "contradictory".to_owned(),
             Self::Untried => "not shown".to_owned(),

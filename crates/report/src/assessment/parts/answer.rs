@@ -5,7 +5,7 @@ use serde::Serialize;
 
 use super::certificates::describe_estimator;
 use super::{AssessmentLimits, ClaimSummary, GatheredEvidence, ScenarioCases};
-use crate::assessment::claims::{AssuranceClaim, ClaimStatus, Domain, InferenceRule, Property, Strength};
+use crate::assessment::claims::{AssuranceClaim, ClaimStatus, InferenceRule, Property, Strength};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
 use crate::assessment::prose::prose_to_html;
@@ -146,12 +146,6 @@ fn is_relevant_claim(plan: &AssessmentPlan, claim: &AssuranceClaim) -> bool {
 
 /// Describes a claim that does not hold: the violation first, then its frequency.
 fn describe_refutation(words: &str, claim: &AssuranceClaim, status: &ClaimStatus) -> String {
-    if let (Domain::AnyLeaderBraking { scenario }, Strength::AttackFound { peak_brake_mps2 }) =
-        (&claim.domain, &status.strength)
-    {
-        let violation = claim.property.describe_violation();
-        return format!("{violation} in {} if its leader brakes at up to {peak_brake_mps2} m/s²", scenario.name);
-    }
     let (domain, strength) = (claim.describe_domain(), status.strength.describe());
     match status.strength {
         // No violation occurred; the controller only failed to answer.

@@ -183,15 +183,7 @@ const GOALS: [(&str, &str, PropertyFilter); 6] = [
     (
         "is useful in ordinary traffic: no unnecessary braking, keeps up, string stability",
         "over ordinary traffic",
-        |property| {
-            matches!(
-                property,
-                Property::NoUnnecessaryBraking
-                    | Property::KeepsUp
-                    | Property::StringStable
-                    | Property::Satisfies { .. }
-            )
-        },
+        |property| matches!(property, Property::NoUnnecessaryBraking | Property::KeepsUp | Property::StringStable),
     ),
 ];
 

@@ -257,7 +257,6 @@ fn score(strength: &Strength) -> f64 {
         }
         Strength::OtherUnanswered { .. } => 0.0,
         Strength::Falsified { failures, avoidable, .. } => -(0.001 * *failures as f64) - *avoidable as f64,
-        Strength::AttackFound { peak_brake_mps2 } => peak_brake_mps2.value(),
         Strength::Between { upper_percent, .. } => -upper_percent.value(),
         Strength::Counted { confidence_percent, .. } => confidence_percent.value(),
         Strength::NotShownByCounting { .. } => 0.0,

@@ -1,22 +1,16 @@
 //! A failure that a search found, in the form of the report.
 
 use std::iter;
-use std::path::Path;
 
 use serde::{Deserialize, Serialize};
 
 use super::failure_searches::CounterexampleFiles;
 use crate::assessment::avoidance::COLLIDING_ESCAPE;
 use crate::assessment::{CrumpleCommand, Rounded};
-use crate::export::openscenario::{OpenScenario, export_trajectories};
 use crumple_core::digest::sha256;
 use crumple_search::falsify::campaign::{CampaignSummary, MethodSummary};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, ChangedParameter, Counterexample};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Scenario, file};
-use crumple_world::sim::{NamedController, RecordingLevel, Run, RunError, RunOptions, simulate};
-
-const ROAD_EXTENSION: &str = "xodr";
+use crumple_world::scenario::Scenario;
 
 /// The result of a search method within its budget.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize)]
@@ -141,8 +135,6 @@ pub struct DistinctFailure {
     pub changed: Vec<String>,
     #[serde(skip)]
     pub(in crate::assessment) text: String,
-    #[serde(skip)]
-    pub(super) openscenario: Option<OpenScenario>,
 }
 
 impl DistinctFailure {
@@ -175,30 +167,7 @@ impl DistinctFailure {
             found_at: found.found_at,
             changed: found.changed.iter().map(ChangedParameter::to_string).collect(),
             text,
-            openscenario: None,
         }
-    }
-
-    fn simulator_file_names(file: &str) -> [String; 2] {
-        let stem = file.trim_end_matches(".toml");
-        ["xosc", ROAD_EXTENSION].map(|extension| format!("{stem}.{extension}"))
-    }
-
-    /// Simulates the failure again and adds the files for other simulators.
-    pub(super) fn with_simulator_files(
-        mut self,
-        controller: &NamedController,
-        estimator: EstimatorKind,
-    ) -> Result<Self, RunError> {
-        // A file that a campaign wrote and read back can be read again.
-        let Ok(scenario) = file::from_toml(&self.text, Path::new(&self.file)) else { return Ok(self) };
-        let run = Run::new(&scenario, RunOptions::new(controller.kind.clone()).with_estimator(estimator))?;
-        let trace = simulate(&run, RecordingLevel::Trace).trace;
-        let road = format!("{}.{ROAD_EXTENSION}", self.short_name());
-        // Absent if the run is too long for the format, or vehicles change lanes.
-        self.openscenario =
-            trace.and_then(|trace| export_trajectories(&scenario, &trace, Some(&controller.name), &road).ok());
-        Ok(self)
     }
 
     pub(in crate::assessment) fn commands(&self) -> impl Iterator<Item = &CrumpleCommand> {
@@ -206,11 +175,9 @@ impl DistinctFailure {
     }
 
     pub(in crate::assessment) fn files(&self) -> impl Iterator<Item = (String, Vec<u8>)> {
-        let [scenario, road] = Self::simulator_file_names(&self.file);
-        let run = self.openscenario.as_ref().map(|run| [(scenario, run.scenario.clone()), (road, run.road.clone())]);
         let escape = self.escape.as_ref().map(|escape| (escape.file.clone(), escape.text.clone().into_bytes()));
         let own = iter::once((self.file.clone(), self.text.clone().into_bytes()));
-        own.chain(escape).chain(run.into_iter().flatten())
+        own.chain(escape)
     }
 
     pub(super) fn short_name(&self) -> &str {

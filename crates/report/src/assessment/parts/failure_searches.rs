@@ -224,8 +224,6 @@ impl FailureSearch {
         let found = summary.counterexamples.iter().zip(texts).filter(|(found, _)| is_own(found));
         let failures: Vec<_> =
             found.map(|(found, text)| DistinctFailure::from_counterexample(found, &place, text, &replay)).collect();
-        let exported = failures.into_par_iter().map(|one| one.with_simulator_files(controller, plan.config.estimator));
-        let failures = exported.collect::<Result<Vec<_>, _>>()?;
         let classes = [
             AvoidabilityClass::Avoidable,
             AvoidabilityClass::Unavoidable,

@@ -5,7 +5,6 @@ mod argument;
 mod certificates;
 mod comparison;
 mod distinct_failure;
-mod exposure;
 mod failure_searches;
 mod file_scenarios;
 mod glossary;
@@ -18,13 +17,10 @@ mod rate_certificates;
 mod sampling;
 mod scenario_cases;
 mod space_descriptions;
-mod specification_searches;
 mod string_stability;
 mod suites;
 mod summary;
 mod usefulness;
-mod worst_profiles;
-mod worst_profiles_figure;
 
 pub use answer::{FirstPage, SafetyAnswer};
 pub use argument::{Argument, GsnElement, GsnElementKind};
@@ -44,14 +40,9 @@ pub(super) use rate_certificates::generated_certificate_names;
 pub use sampling::{ControllerSample, PairedCounts, PercentInterval, SpaceSample, SpaceSamples};
 pub use scenario_cases::ScenarioCases;
 pub use space_descriptions::{ParameterDescription, SpaceDescription, SpaceDescriptions};
-pub use specification_searches::{
-    SpaceSpecificationSearches, SpecificationSearch, SpecificationSearches, SpecificationViolation,
-};
 pub use string_stability::StringStabilityVerdict;
 pub use suites::{SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites};
 pub(super) use summary::GatheredEvidence;
 pub use summary::{ClaimRow, ClaimSummary, NameExplanation};
 pub(super) use usefulness::EVERYDAY_SPACES;
 pub use usefulness::{ControllerUsefulness, UsefulnessReport};
-pub(super) use worst_profiles::ATTACK_BUDGET;
-pub use worst_profiles::{MildestAttack, WorstProfile, WorstProfiles};

@@ -3,7 +3,6 @@
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::exposure::{exposure_table, rate_per_exposure};
 use crate::assessment::case::{CaseVerdict, smallest};
 use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength};
 use crate::assessment::document::ReportDocument;
@@ -15,7 +14,6 @@ use crate::draw::{
     Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, Marker, Panel, PixelRect, SMALL_TEXT_SIZE, Stroke, Svg, text_width,
 };
 use crumple_evidence::RateInterval;
-use crumple_evidence::exposure::{FailureProbability, RatePerExposure};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{
     FailedControllerRuns, NamedController, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate_batch,
@@ -77,10 +75,6 @@ pub struct ControllerSample {
     pub min_gap_behind_m: Option<Rounded<2>>,
     /// Mean impact speed of the collisions, in m/s.
     pub mean_impact_speed_mps: Option<Rounded<1>>,
-    /// Failures per hour and per 1000 km; absent if the space states no exposure.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    #[serde(rename = "exposed")]
-    pub rate_per_exposure: Option<RatePerExposure>,
     /// Comparison with the first controller on the same scenarios; absent for the first itself.
     pub paired: Option<PairedCounts>,
 }
@@ -239,16 +233,9 @@ impl SpaceSample {
             work.add_runs((to - from) * plan.controllers.len() as u64)?;
         }
         let finish = |(index, (controller, tally)): (usize, (&NamedController, SampleTally))| {
-            let known = FailureProbability::Counted {
-                failures: tally.failures(),
-                unknown: tally.ended_by_others,
-                runs: tally.random_scenarios,
-            };
-            let rate_per_exposure = rate_per_exposure(named, controller, known, work)?;
-            Ok(ControllerSample { rate_per_exposure, ..tally.finish(controller, index > 0) })
+            tally.finish(controller, index > 0)
         };
-        let controllers =
-            plan.controllers.iter().zip(tallies).enumerate().map(finish).collect::<Result<_, AssessError>>()?;
+        let controllers = plan.controllers.iter().zip(tallies).enumerate().map(finish).collect();
         Ok(Self {
             space: named.content_id.clone(),
             random_scenarios: config.draws,
@@ -443,7 +430,6 @@ impl SampleTally {
             min_gap_ahead_m: self.min_gaps_m[0].map(Rounded::new),
             min_gap_behind_m: self.min_gaps_m[1].map(Rounded::new),
             mean_impact_speed_mps: (self.impacts > 0).then(|| mean_impact_mps.into()),
-            rate_per_exposure: None,
             paired: is_paired.then_some(self.paired),
         }
     }
@@ -461,10 +447,6 @@ impl ReportPart for SpaceSamples {
             out.paragraph(&drawn.introduction());
             out.table(&drawn.table());
             drawn.unanswered_notes().iter().for_each(|line| out.paragraph(line));
-            if let Some((words, table)) = exposure_table(drawn) {
-                out.paragraph(&words);
-                out.table(&table);
-            }
             out.figure(drawn.figure());
         }
     }

@@ -4,10 +4,7 @@ use maud::html;
 use serde::Serialize;
 
 use super::certificates::{describe_estimator, kernel_domain, shield_kernels};
-use super::{
-    FailureSearches, FileScenarios, PaperScenarios, Proofs, SpaceSamples, SpecificationSearches, Suites,
-    UsefulnessReport, WorstProfiles,
-};
+use super::{FailureSearches, FileScenarios, PaperScenarios, Proofs, SpaceSamples, Suites, UsefulnessReport};
 use crate::assessment::claims::{AssuranceClaim, ClaimStatus, ContentId, Domain, InferenceRule, Ledger, Property};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::table::{ReportCell, ReportTable};
@@ -68,9 +65,7 @@ pub(in crate::assessment) struct GatheredEvidence<'a> {
     pub(in crate::assessment) rate_spaces: &'a SpaceSamples,
     pub(in crate::assessment) traffic: Option<&'a FileScenarios>,
     pub(in crate::assessment) suites: Option<&'a Suites>,
-    pub(in crate::assessment) worst: Option<&'a WorstProfiles>,
     pub(in crate::assessment) searches: &'a FailureSearches,
-    pub(in crate::assessment) rules: Option<&'a SpecificationSearches>,
     pub(in crate::assessment) usefulness: Option<&'a UsefulnessReport>,
     pub(in crate::assessment) proofs: &'a Proofs,
 }
@@ -83,8 +78,6 @@ impl GatheredEvidence<'_> {
         all.extend(self.traffic.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.suites.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.searches.evidence(plan));
-        all.extend(self.rules.iter().flat_map(|part| part.evidence(plan)));
-        all.extend(self.worst.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.usefulness.iter().flat_map(|part| part.evidence(plan)));
         all.extend(self.proofs.evidence(plan));
         Ledger::new(all)
@@ -260,9 +253,6 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
     for searched in &found.searches.spaces {
         add("search", None, of_all(Property::NoContact, searched.domain(plan), own));
     }
-    for searched in found.rules.iter().flat_map(|rules| &rules.searches) {
-        add("rules", None, of_all(searched.property(), searched.domain(plan), own));
-    }
     if let Some(usefulness) = found.usefulness {
         let [traffic, danger] = usefulness.domains();
         add("usefulness", None, of_all(Property::NoUnnecessaryBraking, traffic.clone(), own));
@@ -279,9 +269,6 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
             spaces.push(space);
             add("search", None, of_all(Property::NoContact, Domain::Space { space: space.clone() }, own));
         }
-    }
-    if let Some(worst) = found.worst {
-        add("worst", None, of_all(Property::NoContact, worst.domain(), own));
     }
     for claim in found.proofs.reach_claims() {
         let words = format!("{}, {}", claim.describe(), describe_estimator(claim.subject.estimator));
@@ -324,5 +311,5 @@ impl ReportPart for ClaimSummary {
 
 const LEGEND: &str = "✓ supported, ✗ refuted, – not claimed. A cell gives the failures of the runs (`0 of 1000`), the \
     failures of both controllers in the same runs (`0 against 1000`), bounds of a rate with their confidence level \
-    (`≤ 0.24 % (99.9 %)`), the distinct failures of a search, or the hardest braking of a leader that causes a \
-    collision (m/s²). A proof holds under the assumptions in the section \"Proofs\".";
+    (`≤ 0.24 % (99.9 %)`), or the distinct failures of a search. A proof holds under the assumptions in the section \
+    \"Proofs\".";

@@ -1,7 +1,6 @@
 //! Failures of a campaign, grouped by kind, and the choice of those that are examined.
 
 use super::EvaluatedPoint;
-use super::front::ParetoFront;
 use crate::falsify::Method;
 use crumple_world::measure::{BrakingLevel, RunVerdict, Specification};
 use crumple_world::scenario::{Scenario, VehicleClass};
@@ -138,12 +137,11 @@ pub(super) struct FailureGroup {
 pub(super) struct Failures {
     pub(super) specification: Specification,
     pub(super) groups: Vec<FailureGroup>,
-    pub(super) front: ParetoFront,
 }
 
 impl Failures {
     pub(super) fn new(specification: Specification) -> Self {
-        Self { specification, groups: Vec::new(), front: ParetoFront::default() }
+        Self { specification, groups: Vec::new() }
     }
 
     pub(super) fn add(&mut self, method: &Method, evaluated: &EvaluatedPoint) {
@@ -156,7 +154,6 @@ impl Failures {
             ln_likelihood: evaluated.ln_likelihood,
             distance_from_nominal: evaluated.distance_from_nominal,
         };
-        self.front.add(&candidate);
         let Some(known) = self.groups.iter_mut().find(|known| known.kind == kind) else {
             self.groups.push(FailureGroup {
                 kind,

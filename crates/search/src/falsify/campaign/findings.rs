@@ -1,6 +1,5 @@
 //! Results of evaluations.
 
-use super::coverage::Coverage;
 use super::failures::Failures;
 use super::resolved_config::ResolvedConfig;
 use super::{EvaluatedPoint, FailureKind};
@@ -13,7 +12,6 @@ pub(super) struct MethodResults {
     pub(super) first: Option<u64>,
     pub(super) failures: u64,
     pub(super) best: f64,
-    pub(super) coverage: Coverage,
     /// Evaluations for which the partner controller gave no answer.
     pub(super) other_unanswered: Option<UnansweredPartnerRuns>,
 }
@@ -34,16 +32,8 @@ pub(super) struct CampaignFindings {
 }
 
 impl MethodResults {
-    pub(super) fn new(method: Method, dimension: usize) -> Self {
-        Self {
-            method,
-            evaluations: 0,
-            first: None,
-            failures: 0,
-            best: f64::INFINITY,
-            coverage: Coverage::new(dimension),
-            other_unanswered: None,
-        }
+    pub(super) fn new(method: Method) -> Self {
+        Self { method, evaluations: 0, first: None, failures: 0, best: f64::INFINITY, other_unanswered: None }
     }
 
     pub(super) fn add(&mut self, evaluated: &EvaluatedPoint, fails: bool) {
@@ -63,7 +53,6 @@ impl MethodResults {
             silent.runs += 1;
         }
         self.best = self.best.min(evaluated.verdict.robustness);
-        self.coverage.add(&evaluated.point);
     }
 }
 

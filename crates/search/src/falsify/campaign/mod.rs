@@ -18,14 +18,12 @@
 //! show if it is better than random. Results depend neither on the number of threads nor on interruptions.
 //!
 //! Apart from the state of the search itself, memory does not grow with the budget. Parts of 65 536 evaluations are
-//! written to disk. Memory holds a few failures of each kind and those on the Pareto front.
+//! written to disk. Memory holds a few failures of each kind.
 
 mod config;
-mod coverage;
 mod failures;
 mod findings;
 mod first_failure;
-mod front;
 mod journal;
 mod objective;
 mod reader;
@@ -36,17 +34,14 @@ mod summary;
 mod table;
 
 pub use config::{CAMPAIGN_VERSION, Campaign, CampaignOptions, EvaluationLog};
-pub use coverage::CoveragePercentages;
 pub use failures::{FailureCandidate, FailureKind};
 pub use first_failure::FirstFailure;
-pub use front::FrontPoint;
 pub use objective::{SearchObjective, UnknownObjective};
 pub use reader::{CampaignReader, MAX_READ_EVALUATIONS};
 pub(in crate::falsify) use resolved_config::ResolvedConfig;
 pub use run::{CAMPAIGN_KIND, CampaignProgress, verify_journal};
 pub use summary::{
-    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, CoverageSummary, FailureKindSummary, FailuresByMethod,
-    MethodSummary,
+    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary, FailuresByMethod, MethodSummary,
 };
 
 use crumple_core::observer::Stopped;

@@ -11,7 +11,6 @@ use super::{Campaign, CampaignError, CampaignOptions, EvaluationLog};
 use crate::falsify::counterexample::{Examiner, Recorder};
 use crate::falsify::{Method, SearchAlgorithm};
 use crumple_core::observer::Observer;
-use crumple_store::difference;
 use crumple_store::run_folder::{FolderExamination, RunFolder, RunFolderError, RunFolderOptions};
 use crumple_world::measure::RunVerdict;
 use crumple_world::scenario::Scenario;
@@ -169,7 +168,7 @@ impl CampaignRun<'_> {
     ) -> Result<MethodResults, CampaignError> {
         let (terms, space) = (self.config, &self.config.space);
         let mut search = method.start(&terms.cube, terms.record.seed);
-        let mut reached = MethodResults::new(method.clone(), space.dimension());
+        let mut reached = MethodResults::new(method.clone());
         let budget = self.campaign.budget;
         while reached.evaluations < budget {
             let points = next_points(&mut *search, &method, terms, budget - reached.evaluations)?;
@@ -243,12 +242,7 @@ pub(super) fn open_run_folder(folder: &Path, configuration: &str, resume: bool) 
             "evaluations/",
         ],
     };
-    match RunFolder::open(folder, asked) {
-        Err(RunFolderError::OtherConfiguration { path, found, .. }) => {
-            Err(CampaignError::Folder(difference::describe_toml(&path, "campaign", &found, configuration)))
-        }
-        work => Ok(work?),
-    }
+    Ok(RunFolder::open(folder, asked)?)
 }
 
 /// Checks the journal of an incomplete campaign, of which the manifest knows only a prefix.

@@ -1,13 +1,12 @@
 //! Creation of a summary from findings.
 
 use super::CampaignError;
-use super::coverage::Coverage;
 use super::failures::FailureGroup;
 use super::findings::{CampaignFindings, MethodResults};
 use super::resolved_config::ResolvedConfig;
 use super::summary::{
-    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, CoverageSummary, FailureKindSummary, FailuresByMethod,
-    MethodSummary, SUMMARY_VERSION,
+    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary, FailuresByMethod, MethodSummary,
+    SUMMARY_VERSION,
 };
 use crate::falsify::counterexample::Counterexample;
 use crumple_core::digest::sha256;
@@ -22,8 +21,6 @@ impl CampaignSummary {
     ) -> Result<Self, CampaignError> {
         let CampaignFindings { method_results: reached, failures } = findings;
         let record = &terms.record;
-        let mut all = Coverage::new(terms.space.dimension());
-        reached.iter().for_each(|reached| all.merge(&reached.coverage));
         let main = reached.first();
         Ok(Self {
             version: SUMMARY_VERSION,
@@ -44,17 +41,12 @@ impl CampaignSummary {
             falsified: reached.iter().any(|reached| reached.failures > 0),
             first_falsification: main.and_then(|reached| reached.first),
             best_robustness: main.and_then(|reached| finite_or_none(reached.best)),
-            coverage: CoverageSummary {
-                method: main.map(|reached| reached.coverage.percentages()),
-                with_reference_searches: all.percentages(),
-            },
             methods: reached.iter().map(MethodSummary::from_results).collect(),
             failures: failures
                 .by_frequency()
                 .into_iter()
                 .map(|kind| FailureKindSummary::from_failures(kind, terms, &counterexamples))
                 .collect(),
-            front: failures.front.points(&terms.specification, &terms.nominal),
             avoidability: AvoidabilitySummary::from_counterexamples(&counterexamples),
             multi_body: ConfirmationSummary::from_counterexamples(&counterexamples),
             counterexamples,

@@ -4,7 +4,7 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use super::{CampaignError, CoveragePercentages, FrontPoint, SearchObjective};
+use super::{CampaignError, SearchObjective};
 use crate::confirmation::ReplayShare;
 use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
@@ -72,11 +72,6 @@ pub struct CampaignSummary {
     pub methods: Vec<MethodSummary>,
     /// Kinds of failures, the most frequent first.
     pub failures: Vec<FailureKindSummary>,
-    /// Pareto front of severity and likelihood over all failing evaluations, the severest first.
-    #[serde(default)]
-    pub front: Vec<FrontPoint>,
-    /// Coverage of the space.
-    pub coverage: CoverageSummary,
 }
 
 fn default_objective() -> String {
@@ -188,18 +183,6 @@ pub struct FailuresByMethod {
     pub first: u64,
 }
 
-/// Coverage of the space.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct CoverageSummary {
-    /// Coverage by the requested method.
-    pub method: Option<CoveragePercentages>,
-    /// Coverage by all methods.
-    #[serde(alias = "with_yardsticks")]
-    pub with_reference_searches: CoveragePercentages,
-}
-
-const MAX_SHOWN_FRONT_POINTS: usize = 6;
-
 impl CampaignSummary {
     /// Returns the text of `summary.json`.
     ///
@@ -224,36 +207,6 @@ impl CampaignSummary {
         // Writing to a string cannot fail.
         let _ = self.write(&mut text);
         text
-    }
-
-    fn write_front(&self, out: &mut String) -> std::fmt::Result {
-        let (all, last) = (self.front.len(), self.front.len().saturating_sub(1));
-        if all < 2 {
-            return Ok(());
-        }
-        writeln!(out, "\n  Pareto front of severity and likelihood: {all} failures")?;
-        writeln!(
-            out,
-            "  {:>10} {:>12} {:>13} {:>9}  {:<22} kind of failure",
-            "robustness", "impact m/s", "ln likelihood", "distance", "evaluation"
-        )?;
-        let shown = all.min(MAX_SHOWN_FRONT_POINTS);
-        for point in (0..shown).filter_map(|place| self.front.get(place * last / (shown - 1))) {
-            let impact = point.impact_speed_mps.map_or("-".to_owned(), |speed| format!("{speed:.1}"));
-            writeln!(
-                out,
-                "  {:>10.3} {impact:>12} {:>13.2} {:>9.3}  {:<22} {}",
-                point.robustness,
-                point.ln_likelihood,
-                point.distance_from_nominal,
-                format!("{} {}", point.method, point.evaluation),
-                point.kind
-            )?;
-        }
-        if shown < all {
-            writeln!(out, "  {} more in summary.json", all - shown)?;
-        }
-        Ok(())
     }
 
     fn write_unanswered(&self, out: &mut String) -> std::fmt::Result {
@@ -348,16 +301,6 @@ impl CampaignSummary {
                 found.write(out, self.specification != Specification::NO_CONTACT)?;
             }
         }
-        self.write_front(out)?;
-        let covered = |covered: &CoveragePercentages| {
-            format!("{:.0} % and {:.0} %", covered.tenths_percent, covered.pairs_percent)
-        };
-        let method = self.coverage.method.as_ref().map_or("-".to_owned(), covered);
-        writeln!(
-            out,
-            "\n  coverage of tenths of single parameters and of pairs: {method} by {}, {} with the reference searches",
-            self.method,
-            covered(&self.coverage.with_reference_searches)
-        )
+        Ok(())
     }
 }

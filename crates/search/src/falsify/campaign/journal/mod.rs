@@ -11,7 +11,7 @@
 mod record;
 
 use std::fs::{self, File, OpenOptions};
-use std::io::{self, BufReader, Read, Seek, SeekFrom, Write};
+use std::io::{self, BufReader, Read, Write};
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
@@ -149,37 +149,6 @@ impl Journal {
         self.last_sync = Instant::now();
         Ok(Some(Prefix { bytes: self.length_bytes(), sha256: self.digest.clone().hexadecimal() }))
     }
-}
-
-/// Reads at most `most` complete records after the first `known`, perhaps during writing; `None` without a journal.
-pub(super) fn read_verdicts_after(
-    path: &Path,
-    identity: &str,
-    known: u64,
-    most: usize,
-) -> Result<Option<Vec<RunVerdict>>, RunFolderError> {
-    let unusable = DiskError::at(path);
-    let file = match File::open(path) {
-        Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(None),
-        file => file.map_err(unusable)?,
-    };
-    let mut records = BufReader::new(file);
-    if !has_header(&mut records, identity)
-        .map_err(unusable)?
-        .ok_or_else(|| RunFolderError::OtherBuild { path: path.to_owned() })?
-    {
-        return Ok(Some(Vec::new()));
-    }
-    records.seek(SeekFrom::Start(HEADER_BYTES as u64 + RECORD_BYTES as u64 * known)).map_err(unusable)?;
-    let mut verdicts = Vec::new();
-    while verdicts.len() < most {
-        let index = known + verdicts.len() as u64;
-        match read_record(&mut records, path, identity, index)? {
-            JournalEntry::Record(body, _) => verdicts.push(decode(&body)),
-            _ => break,
-        }
-    }
-    Ok(Some(verdicts))
 }
 
 /// Returns true for the header of this run, false if it is truncated or missing, `None` for another run.
