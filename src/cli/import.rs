@@ -38,7 +38,7 @@ Those behind it start at the recorded gaps and speeds and are under test; only t
 driven by the baseline. Without any episode the exit code is 1, and the hardest braking found is printed.
 
 An OpenSCENARIO file F.xosc (1.0 to 1.3) becomes a scenario on the lane of the vehicle under test. \
---distribution makes a scenario of each combination of values (at most 10 000). \
+--distribution makes a scenario of each combination of values (at most 10 000), or a space of random values. \
 Unsupported content is an error with element, line and reason. A file may have 64 MiB.
 
 Recordings of any length need less than 500 MB of memory: crumple reads them in overlapping parts of about 500 000 \

@@ -13,7 +13,7 @@ use crumple_core::quoting::TerminalText;
 use crumple_world::openscenario::{
     ImportedLaneScenario, OpenScenarioSource, ParameterDistributionFile, ScenarioImportError, Variation,
 };
-use crumple_world::scenario::{Scenario, file};
+use crumple_world::scenario::{Scenario, file, space};
 
 /// Options of OpenSCENARIO files.
 #[derive(Args)]
@@ -70,7 +70,13 @@ impl OpenScenarioArgs {
             }
             Some(distribution) => {
                 let distributions = ParameterDistributionFile::load(distribution, path)?;
-                import_variations(&source, ego, &distributions.variations()?)?
+                if distributions.is_random() {
+                    let (space, notes) = source.space(ego, &distributions)?;
+                    let text = space::file::to_toml(&space).map_err(CliError::input)?;
+                    (vec![(format!("{}-space.toml", export::file_stem(space.name())), text.into_bytes())], 0, notes)
+                } else {
+                    import_variations(&source, ego, &distributions.variations()?)?
+                }
             }
         };
         OutputFolder::without_listing(out, force).write(&files, EarlierFiles::Keep)?;

@@ -9,11 +9,14 @@ use super::parameters::{Parameters, read_assignment};
 use super::source::FileCache;
 use super::xml::{Node, SourceElement};
 use crate::scenario::file::MAX_FILES;
+use crate::scenario::space::{DistributionSpec, HistogramSpec, NormalSpec, UniformSpec};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
 /// Maximum number of variations of a scenario.
 pub const MAX_VARIATIONS: usize = MAX_FILES;
+/// Range of a normal distribution without limits, in standard deviations.
+const NORMAL_RANGE_DEVIATIONS: f64 = 6.0;
 
 /// Values of parameters, with the names of the parameters.
 pub type Variation = Vec<(String, String)>;
@@ -21,9 +24,11 @@ pub type Variation = Vec<(String, String)>;
 /// Distributions of the parameters of a scenario.
 #[derive(Debug)]
 pub struct ParameterDistributionFile {
-    root: Rc<SourceElement>,
+    pub(super) root: Rc<SourceElement>,
     /// Values that vary together, one list for each distribution.
     axes: Vec<Vec<Variation>>,
+    /// Parameters with random values.
+    pub(super) random: Vec<(String, DistributionSpec)>,
 }
 
 impl ParameterDistributionFile {
@@ -52,24 +57,47 @@ impl ParameterDistributionFile {
         }
         node.only(&["FileHeader", "ParameterValueDistribution"], &[])?;
         let holder = node.child("ParameterValueDistribution")?;
-        holder.only(&["ScenarioFile", "Deterministic"], &[])?;
+        holder.only(&["ScenarioFile", "Deterministic", "Stochastic"], &[])?;
         let file = holder.child("ScenarioFile")?;
         let stated = file.text("filepath")?;
         if Path::new(&stated).file_name() != scenario.file_name() {
             return Err(file.refuse(format!("the distributions are for `{stated}`, not for `{}`", scenario.display())));
         }
-        let mut axes = Vec::new();
+        let (mut axes, mut random) = (Vec::new(), Vec::new());
         let mut known = BTreeSet::new();
-        for one in holder.child("Deterministic")?.children() {
-            let axis = read_deterministic(one)?;
-            let names: BTreeSet<String> = axis.iter().flatten().map(|(name, _)| name.clone()).collect();
-            if let Some(name) = names.intersection(&known).next() {
-                return Err(one.refuse(format!("the parameter `{name}` has two distributions")));
+        let mut add_names = |node: Node<'_>, names: BTreeSet<String>| match names.intersection(&known).next() {
+            Some(name) => Err(node.refuse(format!("the parameter `{name}` has two distributions"))),
+            None => {
+                known.extend(names);
+                Ok(())
             }
-            known.extend(names);
-            axes.push(axis);
+        };
+        if let Some(list) = holder.optional("Deterministic") {
+            for one in list.children() {
+                let axis = read_deterministic(one)?;
+                add_names(one, axis.iter().flatten().map(|(name, _)| name.clone()).collect())?;
+                axes.push(axis);
+            }
         }
-        Ok(Self { root, axes })
+        if let Some(list) = holder.optional("Stochastic") {
+            list.only(&["StochasticDistribution"], &["numberOfTestRuns", "randomSeed"])?;
+            for one in list.children() {
+                one.only(&["NormalDistribution", "UniformDistribution", "Histogram"], &["parameterName"])?;
+                let name = one.text("parameterName")?;
+                add_names(one, BTreeSet::from([name.clone()]))?;
+                random.push((name, read_random(one.single()?)?));
+            }
+        }
+        if axes.is_empty() == random.is_empty() {
+            return Err(holder.refuse("must have either deterministic or stochastic distributions"));
+        }
+        Ok(Self { root, axes, random })
+    }
+
+    /// Returns true if values are random, so that the file describes a space.
+    #[must_use]
+    pub fn is_random(&self) -> bool {
+        !self.random.is_empty()
     }
 
     /// Returns all combinations of the deterministic values.
@@ -133,4 +161,41 @@ fn read_range(node: Node<'_>) -> Result<[f64; 2]> {
     node.only(&[], &["lowerLimit", "upperLimit"])?;
     let [low, high] = [node.number("lowerLimit")?, node.number("upperLimit")?];
     if low <= high { Ok([low, high]) } else { Err(node.refuse(format!("{low} is above {high}"))) }
+}
+
+fn read_random(node: Node<'_>) -> Result<DistributionSpec> {
+    match node.name() {
+        "UniformDistribution" => {
+            node.only(&["Range"], &[])?;
+            let [low, high] = read_range(node.child("Range")?)?;
+            Ok(DistributionSpec::Uniform(UniformSpec { low, high }))
+        }
+        "NormalDistribution" => {
+            node.only(&["Range"], &["expectedValue", "variance"])?;
+            let (mean, deviation) = (node.number("expectedValue")?, node.non_negative("variance")?.sqrt());
+            let range = NORMAL_RANGE_DEVIATIONS * deviation;
+            let [low, high] = node.optional("Range").map_or(Ok([mean - range, mean + range]), read_range)?;
+            Ok(DistributionSpec::Normal(NormalSpec { mean, deviation, low, high }))
+        }
+        _ => {
+            node.only(&["HistogramBin"], &[])?;
+            let (mut edges, mut weights): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
+            for bin in node.children() {
+                bin.only(&["Range"], &["weight"])?;
+                let [low, high] = read_range(bin.child("Range")?)?;
+                match edges.last() {
+                    None => edges.push(low),
+                    Some(end) if *end < low => {
+                        edges.push(low);
+                        weights.push(0.0);
+                    }
+                    Some(end) if *end > low => return Err(bin.refuse("bins must increase")),
+                    Some(_) => {}
+                }
+                edges.push(high);
+                weights.push(bin.non_negative("weight")?);
+            }
+            Ok(DistributionSpec::Histogram(HistogramSpec { edges, weights }))
+        }
+    }
 }

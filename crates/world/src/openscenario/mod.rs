@@ -18,6 +18,7 @@ mod replay;
 mod replay_state;
 mod road;
 mod source;
+mod space;
 mod speed_plan;
 mod storyboard;
 #[cfg(test)]

@@ -244,7 +244,7 @@ fn distributions(content: &str) -> Result<ParameterDistributionFile, String> {
 }
 
 #[test]
-fn distributions_give_variations() {
+fn distributions_give_variations_or_a_space() {
     let text = file(same_lane(), &speed_action("linear", "rate", "$rate", 10.0), TIME);
     let source = OpenScenarioSource::from_bytes(text.as_bytes(), ROAD.as_bytes()).unwrap();
     let varied = distributions(
@@ -259,13 +259,39 @@ value="300"/></ParameterValueSet></ValueSetDistribution></DeterministicMultiPara
     assert_eq!(variations.len(), 22);
     assert_eq!(variations[6], [("rate".to_owned(), "1.3".to_owned()), ("speed".to_owned(), "90".to_owned())]);
     assert_eq!(variations.iter().filter(|one| source.scenario(None, one).is_ok()).count(), 11, "one speed is too high");
+
+    let stochastic = |name: &str, law: &str| {
+        distributions(&format!(
+            r#"<Stochastic numberOfTestRuns="9"><StochasticDistribution parameterName="{name}">{law}
+</StochasticDistribution>
+</Stochastic>"#
+        ))
+    };
+    let histogram = r#"<Histogram><HistogramBin weight="1"><Range lowerLimit="2" upperLimit="3"/></HistogramBin>
+<HistogramBin weight="3"><Range lowerLimit="4" upperLimit="6"/></HistogramBin></Histogram>"#;
+    for (law, mean_mps2) in [
+        (histogram, 0.25 * 2.5 + 0.75 * 5.0),
+        (r#"<UniformDistribution><Range lowerLimit="2" upperLimit="6"/></UniformDistribution>"#, 4.0),
+        (r#"<NormalDistribution expectedValue="4" variance="0.25"/>"#, 4.0),
+    ] {
+        let (space, _) = source.space(None, &stochastic("rate", law).unwrap()).unwrap();
+        assert_eq!(space.spec().parameters[0].field, "vehicles[0].driver.brake-to-speed.rate_mps2");
+        let rate = |index| match &space.draw(1, index).unwrap().vehicles()[0].driver {
+            Driver::Profile(LeadProfile::BrakeToSpeed(brake)) => brake.rate_mps2,
+            other => panic!("{other:?}"),
+        };
+        let mean = (0..2000).map(rate).sum::<f64>() / 2000.0;
+        assert!((mean - mean_mps2).abs() < 0.1, "{law}: {mean}");
+    }
+    let uniform = r#"<UniformDistribution><Range lowerLimit="50" upperLimit="60"/></UniformDistribution>"#;
+    let refused = source.space(None, &stochastic("speed", uniform).unwrap()).unwrap_err().to_string();
+    assert!(refused.contains("`speed` changes vehicles[0].speed_mps, vehicles[1].speed_mps, not"), "{refused}");
     let twice = distributions(
-        r#"<Deterministic><DeterministicSingleParameterDistribution parameterName="rate"><DistributionSet><Element
-value="1"/></DistributionSet></DeterministicSingleParameterDistribution><DeterministicSingleParameterDistribution
-parameterName="rate"><DistributionSet><Element value="2"/></DistributionSet></DeterministicSingleParameterDistribution>
-</Deterministic>"#,
+        r#"<Stochastic numberOfTestRuns="9"><StochasticDistribution parameterName="rate"><NormalDistribution
+expectedValue="4" variance="1"/></StochasticDistribution><StochasticDistribution parameterName="rate">
+<NormalDistribution expectedValue="5" variance="1"/></StochasticDistribution></Stochastic>"#,
     );
-    assert!(twice.unwrap_err().ends_with("the parameter `rate` has two distributions"));
-    let random = distributions("<Stochastic numberOfTestRuns=\"9\"/>").unwrap_err();
-    assert!(random.contains("Stochastic"), "{random}");
+    assert!(twice.unwrap_err().ends_with("StochasticDistribution: the parameter `rate` has two distributions"));
+    let refused = stochastic("rate", r#"<PoissonDistribution expectedValue="4"/>"#).unwrap_err();
+    assert!(refused.ends_with("PoissonDistribution: is not supported in `StochasticDistribution`"), "{refused}");
 }

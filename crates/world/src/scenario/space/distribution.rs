@@ -3,7 +3,7 @@
 use statrs::distribution::{Gamma as GammaLaw, LogNormal as LogNormalLaw, Normal as Gauss, Weibull as WeibullLaw};
 
 use super::marginal::{ContinuousDistribution, CoordinateMarginal};
-use super::spec::{ChoiceSpec, DistributionSpec, PointMassSpec, ShapeScaleSpec, UniformSpec, ValueKind};
+use super::spec::{ChoiceSpec, DistributionSpec, HistogramSpec, PointMassSpec, ShapeScaleSpec, UniformSpec, ValueKind};
 use crate::scenario::format_compact;
 
 /// Smallest probability mass of a distribution within its range.
@@ -72,6 +72,7 @@ impl DistributionSpec {
                 let law = WeibullLaw::new(shape, scale).map_err(|problem| (kind, problem.to_string()))?;
                 truncate(kind, ContinuousDistribution::Weibull(law), of.low, of.high)
             }
+            Self::Histogram(histogram) => histogram.marginal(),
             Self::Choice(choice) => choice_marginal(choice),
             Self::PointMass(of) => of.marginal(),
         }
@@ -92,6 +93,22 @@ impl ShapeScaleSpec {
             return Err((kind, format!("scale must be from 1e-9 to 1e9, found {}", format_compact(scale))));
         }
         Ok([shape, scale])
+    }
+}
+
+impl HistogramSpec {
+    fn marginal(&self) -> Result<CoordinateMarginal, (&'static str, String)> {
+        let Self { edges, weights } = self;
+        let increases = edges.windows(2).all(|pair| pair[0] < pair[1]);
+        if edges.len() < 2 || !increases || !edges.iter().all(|edge| edge.is_finite()) {
+            return Err((".histogram.edges", "must be at least two increasing finite numbers".to_owned()));
+        }
+        if weights.len() + 1 != edges.len() {
+            let problem = format!("must be one fewer than edges ({}), found {}", edges.len(), weights.len());
+            return Err((".histogram.weights", problem));
+        }
+        let probabilities = shares(weights).map_err(|problem| (".histogram.weights", problem))?;
+        Ok(CoordinateMarginal::Histogram { edges: edges.clone(), probabilities })
     }
 }
 

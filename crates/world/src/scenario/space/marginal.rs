@@ -26,6 +26,11 @@ pub(super) enum CoordinateMarginal {
         cdf_low: f64,
         mass: f64,
     },
+    /// Constant density in each bin; one more edge than bins.
+    Histogram {
+        edges: Vec<f64>,
+        probabilities: Vec<f64>,
+    },
     Choice {
         values: Vec<f64>,
         probabilities: Vec<f64>,
@@ -131,6 +136,7 @@ impl CoordinateMarginal {
     pub(super) fn low(&self) -> f64 {
         match self {
             Self::Uniform { low, .. } | Self::LogUniform { low, .. } | Self::Truncated { low, .. } => *low,
+            Self::Histogram { edges, .. } => edges.first().copied().unwrap_or(f64::NAN),
             Self::Choice { values, .. } => values.iter().copied().fold(f64::INFINITY, f64::min),
             Self::PointMass { at, others, .. } => at.min(others.low()),
         }
@@ -139,6 +145,7 @@ impl CoordinateMarginal {
     pub(super) fn high(&self) -> f64 {
         match self {
             Self::Uniform { high, .. } | Self::LogUniform { high, .. } | Self::Truncated { high, .. } => *high,
+            Self::Histogram { edges, .. } => edges.last().copied().unwrap_or(f64::NAN),
             Self::Choice { values, .. } => values.iter().copied().fold(f64::NEG_INFINITY, f64::max),
             Self::PointMass { at, others, .. } => at.max(others.high()),
         }
@@ -152,6 +159,7 @@ impl CoordinateMarginal {
                 (low + u * (high - low)).clamp(*low, *high)
             }
             Self::LogUniform { low, high } => (low * libm::pow(high / low, u)).clamp(*low, *high),
+            Self::Histogram { .. } => (self.low() + u * (self.high() - self.low())).clamp(self.low(), self.high()),
             Self::Choice { values, .. } => {
                 let index = ((u * values.len() as f64) as usize).min(values.len() - 1);
                 values.get(index).copied().unwrap_or(f64::NAN)
@@ -172,6 +180,7 @@ impl CoordinateMarginal {
                 ((value - low) / (high - low)).clamp(0.0, 1.0)
             }
             Self::LogUniform { low, high } => (libm::log(value / low) / libm::log(high / low)).clamp(0.0, 1.0),
+            Self::Histogram { .. } => ((value - self.low()) / (self.high() - self.low())).clamp(0.0, 1.0),
             Self::Choice { values, .. } => {
                 let distance = |index: &usize| values.get(*index).map_or(f64::INFINITY, |v| (v - value).abs());
                 let nearest = (0..values.len()).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or(0);
@@ -195,6 +204,16 @@ impl CoordinateMarginal {
             Self::Truncated { low, high, distribution: law, cdf_low: below, mass } => {
                 let value = law.inverse_cdf((below + u * mass).clamp(f64::MIN_POSITIVE, 1.0 - f64::EPSILON));
                 ((value - low) / (high - low)).clamp(0.0, 1.0)
+            }
+            Self::Histogram { edges, probabilities } => {
+                let mut before = 0.0;
+                for (bin, share) in edges.windows(2).zip(probabilities) {
+                    if u <= before + share && *share > 0.0 {
+                        return self.coordinate(bin[0] + (bin[1] - bin[0]) * (u - before) / share);
+                    }
+                    before += share;
+                }
+                1.0
             }
             Self::Choice { probabilities: shares, .. } => {
                 let mut before = 0.0;
@@ -223,6 +242,12 @@ impl CoordinateMarginal {
             Self::Uniform { .. } | Self::LogUniform { .. } => u,
             Self::Truncated { distribution: law, cdf_low: below, mass, .. } => {
                 ((law.cdf(self.value(u)) - below) / mass).clamp(0.0, 1.0)
+            }
+            Self::Histogram { edges, probabilities } => {
+                let value = self.value(u);
+                let within = |bin: &[f64]| ((value - bin[0]) / (bin[1] - bin[0])).clamp(0.0, 1.0);
+                let shares = edges.windows(2).zip(probabilities).map(|(bin, share)| within(bin) * share);
+                shares.sum::<f64>().clamp(0.0, 1.0)
             }
             Self::Choice { probabilities: shares, .. } => {
                 let place = u * shares.len() as f64;
@@ -261,6 +286,12 @@ impl CoordinateMarginal {
                 let value = self.value(coordinate).max(law.min_pdf_argument(*low, *high));
                 law.ln_pdf(value) - mass.ln() + (high - low).ln()
             }
+            Self::Histogram { edges, probabilities } => {
+                let value = self.value(coordinate);
+                let bin = edges.windows(2).zip(probabilities).find(|(bin, _)| value <= bin[1]);
+                let density = bin.map_or(0.0, |(bin, share)| share / (bin[1] - bin[0]));
+                (density * (self.high() - self.low())).ln()
+            }
             Self::Choice { probabilities: shares, .. } => {
                 let index = ((coordinate.clamp(0.0, 1.0) * shares.len() as f64) as usize).min(shares.len() - 1);
                 (shares.get(index).copied().unwrap_or(0.0) * shares.len() as f64).ln()
@@ -280,8 +311,8 @@ impl CoordinateMarginal {
 #[cfg(test)]
 mod tests {
     use super::super::spec::{
-        ChoiceSpec, DistributionSpec, LogNormalSpec, NormalSpec, ParameterValue, PointMassSpec, ShapeScaleSpec,
-        UniformSpec,
+        ChoiceSpec, DistributionSpec, HistogramSpec, LogNormalSpec, NormalSpec, ParameterValue, PointMassSpec,
+        ShapeScaleSpec, UniformSpec,
     };
     use super::CoordinateMarginal;
     use proptest::prelude::*;
@@ -325,6 +356,10 @@ mod tests {
                 .prop_map(|(low, times)| DistributionSpec::LogUniform(UniformSpec { low, high: low * times })),
             normal,
             positive,
+            weights.clone().prop_map(|weights| {
+                let edges = (0..=weights.len()).map(|i| (1.5 * i as f64).powi(2) - 2.0).collect();
+                DistributionSpec::Histogram(HistogramSpec { edges, weights })
+            }),
             weights.prop_map(|weights| {
                 let values = (0..weights.len()).map(|i| ParameterValue::Number(1.5 * i as f64 - 2.0)).collect();
                 DistributionSpec::Choice(ChoiceSpec { values, weights: Some(weights) })

@@ -78,8 +78,8 @@ pub use copula::{Dependence, GaussianCopula};
 pub use observed::{DrivingExposure, ObservedData, ObservedParameter, SourceExposure};
 pub use parameter_distribution::ParameterDistribution;
 pub use spec::{
-    Base, ChoiceSpec, DistributionSpec, DriverName, LogNormalSpec, NormalSpec, ParameterSpec, ParameterValue,
-    PointMassSpec, SPACE_VERSION, ShapeScaleSpec, SpaceSpec, UniformSpec,
+    Base, ChoiceSpec, DistributionSpec, DriverName, HistogramSpec, LogNormalSpec, NormalSpec, ParameterSpec,
+    ParameterValue, PointMassSpec, SPACE_VERSION, ShapeScaleSpec, SpaceSpec, UniformSpec,
 };
 
 use self::copula::Copula;
@@ -194,6 +194,12 @@ impl SpaceParameter {
         };
         name.map_or_else(|| value.to_string(), str::to_owned)
     }
+}
+
+/// Returns the unit of a field that may vary.
+#[cfg(feature = "openscenario")]
+pub(crate) fn field_unit(path: &str, base: &ScenarioSpec) -> Option<&'static str> {
+    field::ParameterField::resolve(path, base).ok().map(|field| field.unit)
 }
 
 impl ScenarioSpace {

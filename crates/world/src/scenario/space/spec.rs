@@ -87,6 +87,8 @@ pub enum DistributionSpec {
     Gamma(ShapeScaleSpec),
     /// Weibull, truncated to the range.
     Weibull(ShapeScaleSpec),
+    /// Constant density in each of several bins.
+    Histogram(HistogramSpec),
     /// One of a few values.
     Choice(ChoiceSpec),
     /// One value with positive probability, and a density over all others.
@@ -147,6 +149,17 @@ pub struct ShapeScaleSpec {
     pub low: f64,
     /// Largest value.
     pub high: f64,
+}
+
+/// Constant densities in adjacent bins.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+pub struct HistogramSpec {
+    /// Limits of the bins, increasing; one more than bins.
+    pub edges: Vec<f64>,
+    /// Relative probability of each bin.
+    pub weights: Vec<f64>,
 }
 
 /// A value with positive probability beside a density, such as the final speed of braking vehicles, some of which stop.
@@ -267,6 +280,10 @@ impl fmt::Display for DistributionSpec {
             }
             Self::Weibull(ShapeScaleSpec { shape, scale, low, high }) => {
                 write!(out, "{low} to {high}, Weibull: shape {shape}, scale {scale}")
+            }
+            Self::Histogram(HistogramSpec { edges, weights }) => {
+                let [edges, weights] = [edges, weights].map(|list| list.iter().map(f64::to_string).collect::<Vec<_>>());
+                write!(out, "histogram with edges {} and weights {}", edges.join(", "), weights.join(", "))
             }
             Self::Choice(ChoiceSpec { values, weights }) => {
                 let words: Vec<String> = values.iter().map(ParameterValue::to_string).collect();
