@@ -159,7 +159,6 @@ fn to_json(path: &Path, value: &impl Serialize) -> Result<String, RunFolderError
 mod tests {
     use super::*;
     use crate::fixtures::rate_plan;
-    use crumple_core::observer::Quiet;
     use std::fs;
 
     fn plan(seed: u64) -> RatePlan {
@@ -174,25 +173,6 @@ mod tests {
         change(&mut count.tally);
         count.run_folder.write(PROGRESS_FILE, to_json(Path::new(PROGRESS_FILE), count.tally()).unwrap()).unwrap();
         folder
-    }
-
-    #[test]
-    fn an_interrupted_count_ends_with_the_same_files() {
-        let (plan, whole) = (plan(3), tempfile::tempdir().unwrap());
-        plan.register_in(whole.path(), false).unwrap().certify(&Quiet).unwrap();
-        let part = interrupted_folder(&plan, |_| ());
-        let error =
-            |plan: &RatePlan, resume| plan.register_in(part.path(), resume).err().map(|error| error.to_string());
-        assert!(error(&plan, false).unwrap().contains("already holds a count: use --resume"));
-        let other = "registration.json: the count there has a different `configuration.seed`: \"3\" instead of \"4\"";
-        assert!(error(&self::plan(4), true).unwrap().ends_with(other), "{:?}", error(&self::plan(4), true));
-        plan.register_in(part.path(), true).unwrap().certify(&Quiet).unwrap();
-        for name in [REGISTRATION_FILE, PROGRESS_FILE, CERTIFICATE_FILE, crumple_store::run_folder::MANIFEST_FILE] {
-            let read = |folder: &Path| fs::read_to_string(folder.join(name)).unwrap();
-            assert_eq!(read(part.path()), read(whole.path()), "{name}");
-        }
-        let read_again = plan.register_in(whole.path(), true).unwrap();
-        assert_eq!((read_again.run_folder.is_complete(), read_again.tally().runs), (true, 1200));
     }
 
     #[test]
