@@ -256,14 +256,3 @@ impl RetrainingPlan {
         }
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_preset_is_valid_and_never_ends_by_itself() {
-        let preset = training_preset().unwrap();
-        assert_eq!((preset.name.as_str(), preset.evaluation.master_gap_m), ("harden", 0.0));
-    }
-}
