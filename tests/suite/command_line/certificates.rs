@@ -1,8 +1,8 @@
 //! `crumple check` against forged certificates.
 
 use crumple_verify::reach::{FollowerLaw, PartitionCell};
-use crumple_verify::{Certificate, Interval, RateClaim, Registration, Statement};
-use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, RampBrake, built_in_scenario, file};
+use crumple_verify::{Certificate, Interval, RateClaim, Statement};
+use crumple_world::scenario::{Driver, LeadProfile, RampBrake, built_in_scenario, file};
 
 use super::*;
 
@@ -44,20 +44,6 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
     assert_prints(&message, 0, &["confirmed: all 300 runs were drawn and simulated again"]);
     assert!(!stdout(&message).contains("not verified"));
 
-    // Claims idm's failure rate for the baseline, which nearly always fails: an intact file with a false claim.
-    let forged = forge_rate(folder.path(), |_| {});
-    write_certificate(folder.path(), "forged.json", &forged);
-    assert_prints(&check("forged.json"), 0, &["the counts are not verified"]);
-    for rerun in ["--rerun", "--rerun=1"] {
-        let message = check(&format!("forged.json {rerun}"));
-        assert_eq!(exit_code(&message), 1, "{rerun}");
-        assert!(stdout(&message).contains("refuted by a new count: blocks["), "{}", stdout(&message));
-        assert!(
-            stdout(&message).contains("failed when repeated, and the certificate states 0"),
-            "{}",
-            stdout(&message)
-        );
-    }
     // Correct counts with hashes of other runs.
     let mut hashes = read_certificate(folder.path(), "idm/certificate.json");
     let Statement::Rate(rate) = &mut hashes.statement else { panic!("a rate") };
@@ -80,7 +66,8 @@ fn a_bound_of_0_0002_for_the_baseline_is_the_makers_word_and_refuted_by_a_hundre
     });
     write_certificate(folder.path(), "forged.json", &forged);
     assert_prints(&run_crumple(folder.path(), "check forged.json"), 0, &["the counts are not verified"]);
-    assert_prints(&run_crumple(folder.path(), "check forged.json --rerun=1"), 1, &["refuted by a new count: "]);
+    let refuted = ["refuted by a new count: blocks[", "failed when repeated, and the certificate states 0"];
+    assert_prints(&run_crumple(folder.path(), "check forged.json --rerun=1"), 1, &refuted);
     // A certificate of version 0.1.0 has no blocks to count again.
     let Statement::Rate(rate) = &mut forged.statement else { panic!("a rate") };
     (rate.registration.block_runs, rate.blocks) = (None, Vec::new());
@@ -329,25 +316,12 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
         let message = run_crumple(folder.path(), "check three.json --scenario scripted.toml");
         (exit_code(&message), stdout(&message).to_owned())
     };
-    let pieces = |accel_mps2: [f64; 3]| {
-        Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration {
-            from_s: vec![1.0, 2.0, 3.0],
-            accel_mps2: accel_mps2.to_vec(),
-        }))
-    };
     let ramp = RampBrake { onset_s: 1.0, rate_mps2: 3.0, ramp_s: 0.5, release_s: 0.25 };
-    for driver in [Driver::Profile(LeadProfile::RampBrake(ramp)), pieces([-3.0, 0.0, -1.0])] {
-        let (_, message) = with_leader(driver);
-        assert!(message.contains("is about scripted.toml"), "{message}");
-    }
-    for (driver, why) in [
-        (pieces([-3.0, -3.1, 0.0]), "`pieces` brakes at 3.1 m/s², and the statement's leader at 3 m/s² at most"),
-        (pieces([-3.0, 0.1, 0.0]), "`pieces` accelerates at 0.1 m/s², and the statement's leader never speeds up"),
-        (Driver::Controller(ControllerSpec::from_name("idm").unwrap()), "the leader must be scripted"),
-    ] {
-        let (code, message) = with_leader(driver);
-        assert!(code == 1 && message.contains("is NOT about scripted.toml: ") && message.contains(why), "{message}");
-    }
+    let (_, message) = with_leader(Driver::Profile(LeadProfile::RampBrake(ramp)));
+    assert!(message.contains("is about scripted.toml"), "{message}");
+    let (code, message) = with_leader(Driver::Controller(ControllerSpec::from_name("idm").unwrap()));
+    let why = "is NOT about scripted.toml: the leader must be scripted";
+    assert!(code == 1 && message.contains(why), "{message}");
 
     for (field, ranges, line, problem) in [
         ("leader_brakes_at_most_mps2 = -0.1", gap, 3, "leader_brakes_at_most_mps2: must be 0 or more, found -0.1"),
@@ -476,25 +450,4 @@ fn noise_that_is_not_assumed_is_noticed() {
     (silent.provenance.scenario_text, silent.provenance.scenario_sha256) = (None, String::new());
     write_certificate(folder.path(), "old.json", &silent);
     assert_eq!(check("old.json"), 1);
-}
-
-#[test]
-fn a_key_that_occurs_twice_is_no_certificate() {
-    let folder = temp_folder();
-    write_idm_count(folder.path(), "idm", "");
-    let text = fs::read_to_string(folder.path().join("idm/certificate.json")).unwrap();
-    for (name, from) in [("controller", "\"controller\":"), ("version", "\"version\":"), ("failures", "\"failures\":")]
-    {
-        let doubled = text.replacen(from, &format!("{from} \"policy\", {from}"), 1);
-        assert_ne!(doubled, text);
-        fs::write(folder.path().join("twice.json"), doubled).unwrap();
-        let message = run_crumple(folder.path(), "check twice.json");
-        assert_eq!(exit_code(&message), 2, "{name}");
-        assert!(stderr(&message).contains("twice.json: is not a certificate: "), "{}", stderr(&message));
-    }
-    // Duplicate keys in a registration would let two contents share a digest.
-    let registration = fs::read_to_string(folder.path().join("idm/registration.json")).unwrap();
-    let doubled = registration.replacen("\"controller\":", "\"controller\": \"policy\", \"controller\":", 1);
-    assert!(serde_json::from_str::<Registration>(&doubled).unwrap_err().to_string().contains("duplicate key"));
-    assert_eq!(registration.parse::<Value>().unwrap()["block_runs"], json!(100));
 }
