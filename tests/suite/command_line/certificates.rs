@@ -320,7 +320,7 @@ fn a_leader_within_a_limit_is_in_the_box_the_scope_and_the_assumptions() {
     let (_, message) = with_leader(Driver::Profile(LeadProfile::RampBrake(ramp)));
     assert!(message.contains("is about scripted.toml"), "{message}");
     let (code, message) = with_leader(Driver::Controller(ControllerSpec::from_name("idm").unwrap()));
-    let why = "is NOT about scripted.toml: the leader must be scripted";
+    let why = "is NOT about scripted.toml: scenario: the leader must be scripted";
     assert!(code == 1 && message.contains(why), "{message}");
 
     for (field, ranges, line, problem) in [
