@@ -225,20 +225,6 @@ fn every_command_of_a_report_runs_in_its_folder() {
     assert!(!report.join("PWNED").exists() && !folder.path().join("PWNED").exists());
 }
 
-#[test]
-fn a_saved_model_is_named_with_its_algorithm() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers");
-    let mut asked = config(&["a2c.toml", "acc.toml"]);
-    (asked.draws, asked.everyday_draws) = (0, 0);
-    let found = run(asked, &folder);
-    let explanations: Vec<_> = found.summary.named.iter().map(|named| named.explanation.as_str()).take(2).collect();
-    assert!(
-        explanations[0].starts_with("external network (A2C of Stable-Baselines3) with layers "),
-        "{explanations:?}"
-    );
-    assert!(explanations[1].starts_with("external network with layers "), "{explanations:?}");
-}
-
 /// A custom space may have another name in the configuration than in its file.
 #[test]
 fn gates_find_the_draws_of_own_spaces() {
@@ -479,53 +465,4 @@ fn a_recording_is_assessed_as_its_episodes() {
     assert!(found.command_files.iter().any(|file| file.file.starts_with("scenarios/openacc")));
     let refused = with("recordings = [\"gone.csv\"]\n").expect_err("refused");
     assert!(refused.contains("a.toml:4: recordings: ") && refused.contains("gone.csv"), "{refused}");
-}
-
-/// Evidence on disk is flipped, cut, emptied, removed or swapped; the report keeps the same bytes.
-#[test]
-fn damaged_evidence_is_gathered_again() {
-    let folder = tempfile::tempdir().expect("a folder");
-    let mut asked = config(&["baseline", "policy"]);
-    asked.search.spaces = Some(vec!["paper".to_owned()]);
-    (asked.paper, asked.draws, asked.search.budget, asked.rates.runs) = (false, 4, 5, 60);
-    let plan = AssessmentPlan::new(asked, [], folder.path()).expect("valid");
-    let kept = folder.path().join("evidence");
-    let gather = || {
-        let store = EvidenceCache::open(&kept, "this program", false).expect("a folder");
-        let assessment = assess(&plan, &store, None, &Quiet).expect("runs");
-        (assessment.files().expect("renders"), store.reuse_counts(), store.damaged_files().len())
-    };
-    let (genuine, (pieces, reused), _) = gather();
-    assert!(pieces >= 4 && reused == 0, "{pieces} pieces, {reused} reused");
-    assert_eq!(gather().1, (pieces, pieces), "all of it is found again");
-    let entries = fs::read_dir(&kept).expect("there").map(|entry| entry.expect("an entry").path());
-    let mut paths: Vec<_> = entries.filter(|path| path.extension().is_some_and(|kind| kind == "json")).collect();
-    paths.sort();
-    let whole: Vec<Vec<u8>> = paths.iter().map(|path| fs::read(path).expect("readable")).collect();
-    assert_eq!(whole.len(), pieces, "a file a piece, and nothing else is left");
-    let mut damages: Vec<(String, Vec<Vec<u8>>)> = Vec::new();
-    let mut damage = |what: String, of: &dyn Fn(usize, &[u8]) -> Vec<u8>| {
-        damages.push((what, whole.iter().enumerate().map(|(index, bytes)| of(index, bytes)).collect()));
-    };
-    for place in [0, 4] {
-        damage(format!("flipped at {place} fifths"), &|_, bytes| {
-            let mut bytes = bytes.to_vec();
-            let at = place * (bytes.len() - 1) / 5;
-            bytes[at] ^= 4;
-            bytes
-        });
-    }
-    damage("cut".to_owned(), &|_, bytes| bytes[..bytes.len() - 1].to_vec());
-    damage("emptied".to_owned(), &|_, _| Vec::new());
-    damage("swapped".to_owned(), &|index, _| whole[(index + 1) % whole.len()].clone());
-    for (what, contents) in damages {
-        paths.iter().zip(contents).for_each(|(path, bytes)| fs::write(path, bytes).expect("writes"));
-        let (files, (_, reused), damaged) = gather();
-        assert_eq!((reused, damaged), (0, pieces), "{what}: believed");
-        assert!(files == genuine, "{what}: another report");
-        let now: Vec<Vec<u8>> = paths.iter().map(|path| fs::read(path).expect("readable")).collect();
-        assert!(now == whole, "{what}: other evidence");
-    }
-    paths.iter().for_each(|path| fs::remove_file(path).expect("there"));
-    assert_eq!(gather(), (genuine, (pieces, 0), 0));
 }

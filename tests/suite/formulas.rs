@@ -127,16 +127,6 @@ fn undefined_values_are_reported_with_their_time() {
     assert!(error.contains("0.7"), "{error}");
 }
 
-/// Two relations or two untils in a row are ambiguous.
-#[test]
-fn two_in_a_row_are_refused() {
-    for (text, column) in [("0 < x < 1", 7), ("(x > 0) until (x > 1) until (x > 2)", 23)] {
-        let error = text.parse::<Formula>().unwrap_err();
-        assert!(matches!(error.problem, SyntaxProblem::Chained), "{text}: {error}");
-        assert_eq!(error.column, column, "{text}");
-    }
-}
-
 /// The page lists every operator and signal, and explains the parsing of formulas.
 #[test]
 fn the_page_on_formulas_is_complete_and_right() {

@@ -31,7 +31,6 @@ mod lanes;
 mod measures;
 mod networks;
 mod obligations;
-mod onnx_bytes;
 mod openscenario;
 mod openscenario_import;
 mod paper;

@@ -116,16 +116,6 @@ fn options(after_contact: AfterContact) -> RunOptions {
     RunOptions::new(ControllerSpec::from_name("baseline").expect("built in")).with_after_contact(after_contact)
 }
 
-#[test]
-fn built_in_scenarios_are_read_back_as_they_ran() {
-    for (name, _) in built_in_scenario_names() {
-        let scenario = built_in_scenario(name).expect("built in");
-        for after_contact in [AfterContact::Stop, AfterContact::Continue] {
-            assert_matches_run(&scenario, &simulate_traced(&scenario, &options(after_contact)).trace.expect("traced"));
-        }
-    }
-}
-
 /// On a road of one lane, a vehicle in another lane would overlap the others.
 #[test]
 fn changes_of_lanes_are_refused() {

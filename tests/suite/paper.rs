@@ -96,22 +96,6 @@ fn the_unlatched_baseline_chatters_and_scrapes_through_scenario_2() {
     assert!(releases > 10, "chatters: lets go {releases} times");
 }
 
-/// 20 noise seeds.
-#[test]
-fn with_the_filter_the_baselines_verdicts_are_the_same() {
-    for name in PAPER_SCENARIOS {
-        let truth = run_with_truth(name, "baseline");
-        let true_contact = truth.outcome.contact().expect("a collision");
-        for seed in 0..20 {
-            let noisy = scenario(name).edited(|spec| spec.seed = seed).unwrap();
-            let contact =
-                *run(&noisy, options("baseline", EstimatorKind::Kalman)).outcome.contact().expect("a collision");
-            assert_eq!(contact.front_vehicle, true_contact.front_vehicle, "{name} seed {seed}");
-            assert_near(contact.time_s, true_contact.time_s, 0.1, &format!("{name} seed {seed}"));
-        }
-    }
-}
-
 /// For every controller, both estimators and both behaviours after a collision, a step of 1 ms instead of 10 ms changes
 /// no verdict, and no collision by more than 1 ms.
 #[test]

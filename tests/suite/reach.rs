@@ -12,7 +12,7 @@ use crumple_verify::{Certificate, ProvedClaim, Statement, WorkLimit, check_with}
 use crumple_world::control::{
     ControllerSpec, HistoryPadding, InputMapping, Mapping, NetworkController, ObservedQuantity, OutputMapping, Squash,
 };
-use crumple_world::network::NetworkFile;
+use crumple_world::network::{Elementwise, FeedForward, Linear, NetworkFile, NetworkStep};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::Driver;
@@ -23,11 +23,35 @@ use rand_xoshiro::Xoshiro256PlusPlus;
 
 use crate::command_line::{assert_prints, assert_refused, exit_code, run_crumple, stderr, stdout};
 use crate::networks::{controller_corpus, controller_kind, folder_with};
-use crate::onnx_bytes::{any_elementwise, model_bytes, random_product};
 
 fn box_spec(scenario: &str, ranges: &str) -> BoxSpec {
     let text = format!("version = 1\nscenario = \"{scenario}\"\n[ranges]\n{ranges}");
     BoxSpec::from_toml(&text, Path::new("box.toml")).unwrap()
+}
+
+fn random_product(before: usize, after: usize, gain: f32, random: &mut Xoshiro256PlusPlus) -> NetworkStep {
+    let scale = gain * (3.0 / before as f32).sqrt();
+    let weights = (0..before * after).map(|_| scale * random.random_range(-1.0..1.0_f32)).collect();
+    let biases = (0..after).map(|_| 0.3 * random.random_range(-1.0..1.0_f32)).collect();
+    NetworkStep::Linear(Linear { weights, biases })
+}
+
+fn any_elementwise(width: usize, random: &mut Xoshiro256PlusPlus) -> NetworkStep {
+    let mut operands =
+        |low: f32, high: f32| -> Vec<f32> { (0..width).map(|_| random.random_range(low..high)).collect() };
+    let (some, away_from_0) = (operands(-1.0, 1.0), operands(0.5, 2.0));
+    let number = some[0];
+    NetworkStep::Elementwise(match random.random_range(0..9_u32) {
+        0 => Elementwise::Relu,
+        1 => Elementwise::LeakyRelu { slope: 0.5 * number },
+        2 => Elementwise::Elu { alpha: number.abs() },
+        3 => Elementwise::Tanh,
+        4 => Elementwise::Sigmoid,
+        5 => Elementwise::Add(some),
+        6 => Elementwise::Multiply(some),
+        7 => Elementwise::Divide(away_from_0),
+        _ => Elementwise::Clip { low: vec![number - 0.5; width], high: vec![number + 0.5; width] },
+    })
 }
 
 fn any_network(random: &mut Xoshiro256PlusPlus) -> NetworkController {
@@ -62,17 +86,17 @@ fn any_network(random: &mut Xoshiro256PlusPlus) -> NetworkController {
             }
         })
         .collect();
-    let (mut nodes, mut width) = (Vec::new(), inputs.len());
+    let (mut steps, mut width) = (Vec::new(), inputs.len());
     for depth in 0..random.random_range(1..4_u32) {
         if depth > 0 {
-            nodes.push(any_elementwise(width, random));
+            steps.push(any_elementwise(width, random));
         }
         let after = random.random_range(1..14);
-        nodes.push(random_product(width, after, random.random_range(0.3..1.2), random));
+        steps.push(random_product(width, after, random.random_range(0.3..1.2), random));
         width = after;
     }
     if random.random_bool(0.5) {
-        nodes.push(any_elementwise(width, random));
+        steps.push(any_elementwise(width, random));
     }
     let mapping = Mapping {
         decision_interval_s: Some(*[0.05, 0.1, 0.1, 0.25].choose(random).expect("some")),
@@ -90,8 +114,8 @@ fn any_network(random: &mut Xoshiro256PlusPlus) -> NetworkController {
         },
         inputs,
     };
-    let file =
-        NetworkFile::from_onnx(&model_bytes(mapping.inputs.len(), &nodes)).unwrap_or_else(|error| panic!("{error}"));
+    let mut file = NetworkFile::load(&controller_corpus().join("reference.onnx")).unwrap();
+    file.network = FeedForward::new(mapping.inputs.len(), steps).unwrap();
     NetworkController::new(file, mapping).unwrap_or_else(|error| panic!("{error}"))
 }
 

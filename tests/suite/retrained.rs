@@ -91,12 +91,6 @@ fn the_retrained_policy_is_five_times_safer_and_breaks_nothing_of_the_papers() {
     assert!(first.contacts > 5 * retrained.contacts, "{} {}", first.contacts, retrained.contacts);
 }
 
-#[test]
-fn the_retrained_policy_is_known_by_name() {
-    let found = NamedController::find("retrained", Path::new("")).unwrap();
-    assert_eq!(found.policy().unwrap().digest(), sha256(Policy::retrained_bytes()));
-}
-
 /// A shield is not learned, but the controller that it guards may be.
 #[test]
 fn a_shielded_policy_can_be_retrained() {

@@ -393,27 +393,10 @@ impl RatePlan {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fixtures::{count_all, rate_plan};
-    use crumple_verify::{ProvedClaim, check};
+    use crate::fixtures::rate_plan;
 
     fn plan(controller: &str, against: Option<&str>, runs: u64) -> RatePlan {
         rate_plan(controller, against, ("paper", runs), (3, 0.99))
-    }
-
-    #[test]
-    fn a_rate_and_a_comparison_are_counted_and_accepted() {
-        let rate = plan("idm", None, 1500);
-        let tally = count_all(&rate);
-        assert_eq!((tally.runs, tally.failures), (1500, 0));
-        let accepted = check(&rate.certificate(&tally)).unwrap();
-        assert!(matches!(accepted, ProvedClaim::Rate { max_rate: at_most, .. } if at_most < 0.0031), "{accepted:?}");
-
-        let comparison = plan("idm", Some("baseline"), 500);
-        let tally = count_all(&comparison);
-        assert_eq!((tally.only_first_failed, tally.only_second_failed), (0, 500));
-        assert!(matches!(check(&comparison.certificate(&tally)), Ok(ProvedClaim::FailsLessOften { .. })));
-        let turned = plan("baseline", Some("idm"), 500);
-        assert!(check(&turned.certificate(&count_all(&turned))).is_err());
     }
 
     #[test]

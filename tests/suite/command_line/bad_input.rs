@@ -62,6 +62,7 @@ fn bad_scenarios_name_file_line_and_field() {
         ("position_m = 0.0", "position_m = 26.0", "14: vehicles[1].position_m: overlaps vehicle 0"),
         ("rate_mps2 = 3.0", "rate = 3.0", "10: vehicles[0].driver.brake.rate: unknown field `rate`"),
         ("rate_mps2 = 3.0", "rate_mps2 = 9.0", "10: vehicles[0].driver.brake: asks for 9 m/s²"),
+        ("rate_mps2 = 3.0", "rate_mps2 = 31.0", "10: vehicles[0].driver.brake.rate_mps2: must be"),
         ("\"under-test\"", "\"nobody\"", "16: vehicles[1].driver: unknown variant `nobody`"),
         ("[[vehicles]]\nclass = \"light\"\nposition_m = 0.0", "[vehicle]", "12: "),
     ];

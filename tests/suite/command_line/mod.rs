@@ -304,13 +304,6 @@ fn a_missing_feature_is_refused_with_the_way_to_enable_it() {
 }
 
 #[test]
-fn several_scenarios_write_several_traces() {
-    let folder = temp_folder();
-    run_ok(folder.path(), "simulate paper-1 paper-2 --trace t.csv");
-    assert_eq!(file_names_in(folder.path()), ["t-paper-1.csv", "t-paper-2.csv"]);
-}
-
-#[test]
 fn list_names_all_inputs_of_simulate() {
     let folder = temp_folder();
     let all = run_crumple(folder.path(), "list");
@@ -328,14 +321,9 @@ fn list_names_all_inputs_of_simulate() {
     }
 }
 
+/// No line of the configuration in the help of `assess` is wrapped.
 #[test]
-fn help_documents_the_exit_codes() {
-    let output = run_crumple(temp_folder().path(), "--help");
-    assert_eq!((exit_code(&output), stderr(&output)), (0, ""));
-    let lines = ["  0    done", "  1    a gate", "  2    unusable", "  3    the environment", "  130  interrupted"];
-    assert_contains(stdout(&output), &["Exit codes:"]);
-    assert_contains(stdout(&output), &lines);
-    // The configuration in the help of `assess` is TOML: no line of it is wrapped.
+fn the_help_of_assess_has_an_example_in_toml() {
     let help = run_crumple(temp_folder().path(), "assess --help");
     let example = stdout(&help).lines().skip_while(|line| *line != "  version = 1");
     let example: Vec<&str> = example.take_while(|line| !line.is_empty()).collect();

@@ -139,11 +139,6 @@ fn mistakes_are_reported_before_anything_is_written() {
         .unwrap();
     assert!(retrain("--preset lists.toml").starts_with("error: lists.toml:4: environment: "));
     fs::remove_file(folder.path().join("lists.toml")).unwrap();
-    let nowhere = format!("{}\n[[spaces]]\nspace = \"nowhere\"\nweight = 1\n", tiny::retraining());
-    fs::write(folder.path().join("own.toml"), &nowhere).unwrap();
-    let expected = format!("error: own.toml:{}: spaces[0].space: `nowhere` is neither", nowhere.lines().count() - 1);
-    assert!(retrain("--preset own.toml").starts_with(&expected), "{expected}");
-    fs::remove_file(folder.path().join("own.toml")).unwrap();
     assert!(retrain("--space ''").contains("the name of the scenario space is empty"));
     assert!(retrain("--space nowhere").contains("neither a built-in space (paper, high-risk, traffic, "));
     // A network trained with another scaling would misread its inputs.

@@ -1,37 +1,11 @@
 //! `crumple train`: output files, and resumption after a kill.
 
-use std::time::Instant;
-
 use super::*;
 
 fn assert_same_seed_files(folder: &Path, runs: [&str; 2], seed: u64) {
     for name in ["policy.safetensors", "log.jsonl", "checkpoint.safetensors"] {
         let [one, other] = runs.map(|out| fs::read(folder.join(out).join(format!("seed-{seed}/{name}"))).unwrap());
         assert!(one == other, "{runs:?}, seed {seed}: {name}");
-    }
-}
-
-#[test]
-fn a_killed_training_goes_on_to_the_same_bytes() {
-    let folder = temp_folder();
-    fs::write(folder.path().join("tiny.toml"), tiny::training()).unwrap();
-    let train = |out| format!("train --preset tiny.toml --seeds 2 --episodes 45 --out {out}");
-    let through = run_ok(folder.path(), &train("through"));
-    assert!(stdout(&through).starts_with("  seed"));
-    let mut child = spawn(folder.path(), &train("killed"));
-    let checkpoint = folder.path().join("killed/seed-0/checkpoint.safetensors");
-    let begun = Instant::now();
-    while !checkpoint.exists() && begun.elapsed() < Duration::from_secs(60) {
-        sleep(Duration::from_millis(2));
-    }
-    child.kill().unwrap();
-    child.wait().unwrap();
-    let again = run_crumple(folder.path(), &train("killed"));
-    assert_eq!(exit_code(&again), 2, "an existing training is not overwritten");
-    let resumed = run_ok(folder.path(), &format!("{} --resume", train("killed")));
-    assert_eq!(stdout(&resumed), stdout(&through));
-    for seed in 0..2 {
-        assert_same_seed_files(folder.path(), ["through", "killed"], seed);
     }
 }
 

@@ -57,20 +57,6 @@ fn error_bounds_are_six_standard_deviations_and_nowhere_called_proved() {
     assert!(says("assessment.md", "six standard deviations of the noise with the Kalman filter"));
 }
 
-#[test]
-fn each_pair_of_classes_gets_a_certificate() {
-    let folder = temp_folder();
-    let output = run_crumple(folder.path(), "verify shield --out kernels");
-    let pairs = VehicleClass::ALL.len().pow(2);
-    assert_eq!((exit_code(&output), stderr(&output)), (0, ""));
-    assert_eq!(stdout(&output).lines().filter(|line| line.contains("accepted: kernel")).count(), pairs);
-    let names = file_names_in(&folder.path().join("kernels"));
-    assert_eq!(names.iter().filter(|name| name.ends_with(".json")).count(), pairs);
-    let text = fs::read_to_string(folder.path().join("kernels/light-behind-heavy.json")).unwrap();
-    let certificate: Value = serde_json::from_str(&text).unwrap();
-    assert_eq!(certificate["statement"]["kernel"]["catching_up_squared"], "1/3");
-}
-
 /// The JSON names the policy and the checker's verdict; errors in a box have file, line and field.
 #[test]
 fn a_box_is_verified_for_programs_and_refused_by_line_and_field() {
@@ -137,14 +123,6 @@ fn a_rate_is_registered_counted_resumed_and_certified() {
     assert_eq!((exit_code(&again), stdout(&again)), (0, stdout(&whole)));
     let fsck = run_crumple(folder.path(), "fsck whole");
     assert_eq!((exit_code(&fsck), stdout(&fsck)), (0, "whole: a count, complete; 3 of 3 files are intact\n"));
-    for name in ["registration.json", "progress.json", "certificate.json", "work.json"] {
-        let path = folder.path().join("whole").join(name);
-        let bytes = fs::read(&path).unwrap();
-        fs::write(&path, &bytes[..bytes.len() / 2]).unwrap();
-        assert_refused(&count("--out whole --resume"), &format!("error: whole/{name}: "));
-        assert_ne!(exit_code(&run_crumple(folder.path(), "fsck whole")), 0, "{name}");
-        fs::write(&path, bytes).unwrap();
-    }
 }
 
 #[test]
@@ -230,6 +208,9 @@ fn verification_results_are_machine_readable() {
     let kernels = message("verify shield --out kernels --format json");
     let names = file_names_in(&folder.path().join("kernels"));
     assert_eq!(kernels.len(), names.iter().filter(|name| name.ends_with(".json")).count());
+    assert_eq!(kernels.len(), VehicleClass::ALL.len().pow(2));
+    let certificate = read_json(&folder.path().join("kernels/light-behind-heavy.json"));
+    assert_eq!(certificate["statement"]["kernel"]["catching_up_squared"], "1/3");
     for kernel in &kernels {
         assert_eq!(kernel["accepted"], true);
         let checked = &message(&format!("check {} --format json", kernel["certificate"].as_str().unwrap()))[0];

@@ -125,6 +125,10 @@ fn any_step_s() -> impl Strategy<Value = f64> {
     prop::sample::select(vec![0.01, 0.05, 0.1, 1.0])
 }
 
+fn any_acceleration_mps2() -> impl Strategy<Value = f64> {
+    prop_oneof![1 => Just(0.0), 3 => -10.0..4.0_f64]
+}
+
 proptest! {
     #![proptest_config(with_cases(1024))]
 
@@ -176,52 +180,11 @@ proptest! {
         }
     }
 
-    /// A vehicle at constant speed v_r reaches one that brakes at b from v_f at the root of g + (v_f - v_r) t - b t²/2
-    /// if the front one still moves then, and at (g + v_f² / 2b) / v_r otherwise.
-    #[test]
-    fn constant_speed_into_a_braking_vehicle(
-        (g, v_f, v_r) in (0.1..50.0_f64, 0.0..40.0_f64, 1.0..40.0_f64),
-        b in 1.0..10.0_f64,
-        step_s in any_step_s(),
-    ) {
-        let closing = v_r - v_f;
-        let while_moving = 2.0 * g / (closing + (closing * closing + 2.0 * b * g).sqrt());
-        let time_s = if while_moving <= v_f / b { while_moving } else { (g + v_f * v_f / (2.0 * b)) / v_r };
-        let steps = (time_s / step_s) as u32 + 2;
-        let (front, rear) = (AcceleratedBody { x: g, v: v_f, a: -b }, AcceleratedBody { x: 0.0, v: v_r, a: 0.0 });
-        let result = run(&two_vehicle_scenario(front, rear, step_s, steps));
-        let contact = result.outcome.contact().expect("nothing stops the rear one");
-        prop_assert!((contact.time_s - time_s).abs() < 1e-9, "{} s, closed form {time_s} s", contact.time_s);
-        prop_assert!((contact.front_speed_mps - (v_f - b * time_s).max(0.0)).abs() < 1e-8);
-    }
-
-    /// A vehicle that brakes at b from v towards a standing one g away hits it at sqrt(v² - 2 b g), or stops after v² /
-    /// 2b.
-    #[test]
-    fn braking_into_a_standing_vehicle(
-        (g, v, b) in (0.1..80.0_f64, 1.0..40.0_f64, 1.0..10.0_f64),
-        step_s in any_step_s(),
-    ) {
-        let (left, steps) = (v * v - 2.0 * b * g, (v / b / step_s) as u32 + 2);
-        prop_assume!(left.abs() > 1e-3);
-        let (front, rear) = (AcceleratedBody { x: g, v: 0.0, a: 0.0 }, AcceleratedBody { x: 0.0, v, a: -b });
-        let result = run(&two_vehicle_scenario(front, rear, step_s, steps));
-        if left > 0.0 {
-            let contact = result.outcome.contact().expect("it cannot stop in time");
-            prop_assert!((contact.time_s - (v - left.sqrt()) / b).abs() < 1e-9);
-            prop_assert!((contact.impact_speed_mps - left.sqrt()).abs() < 1e-9 * (1.0 + v / left.sqrt()));
-        } else {
-            prop_assert!(result.impacts.is_empty());
-            let min_gap_m = result.vehicles[1].min_gap_m.unwrap();
-            prop_assert!((min_gap_m - (g - v * v / (2.0 * b))).abs() < 1e-9, "{min_gap_m} m");
-        }
-    }
-
     /// Any two constant accelerations: collision, impact speed and smallest gap match the closed forms.
     #[test]
     fn any_two_bodies_meet_where_their_parabolas_do(
-        (g, v_f, v_r) in (0.01..40.0_f64, 0.0..40.0_f64, 0.0..40.0_f64),
-        (a_f, a_r) in (-10.0..4.0_f64, -10.0..4.0_f64),
+        (g, v_f, v_r) in (0.01..40.0_f64, prop_oneof![1 => Just(0.0), 3 => 0.0..40.0_f64], 0.0..40.0_f64),
+        (a_f, a_r) in (any_acceleration_mps2(), any_acceleration_mps2()),
         (steps, step_s) in (1..120_u32, any_step_s()),
     ) {
         let (front, rear) = (AcceleratedBody { x: g, v: v_f, a: a_f }, AcceleratedBody { x: 0.0, v: v_r, a: a_r });

@@ -18,9 +18,7 @@ use crumple_world::sim::{
     simulate_batch,
 };
 
-use crate::command_line::{
-    assert_refused, assert_survives_kills, exit_code, json_objects, run_crumple, spawn, stderr, stdout, temp_folder,
-};
+use crate::command_line::{assert_refused, json_objects, run_crumple, spawn, stderr, stdout, temp_folder};
 use crate::tiny::assert_contains;
 
 const BAD_SCRIPT: &str = include_str!("bad.sh");
@@ -136,24 +134,6 @@ fn any_process_error_ends_the_run() {
     assert_contains(&message, &["failed at 0.00 s: `no-such-command-anywhere` cannot be started: No such file"]);
     assert!(NamedController::find_for_user("exec:sh 'open", Path::new("")).is_err());
     assert!(NamedController::find_for_user("exec:", Path::new("")).is_err());
-}
-
-/// A failure ends only the run of its controller in the batch.
-#[test]
-fn a_failure_in_a_batch_is_of_one_run() {
-    let Some(folder) = python_example_folder() else { return };
-    let text = fs::read_to_string(folder.path().join("follower.py")).unwrap();
-    let picky =
-        text.replace("    command_mps2 =", "    if gap_m < 9.0:\n        return float('nan')\n    command_mps2 =");
-    fs::write(folder.path().join("picky.py"), picky).unwrap();
-    let controller = find_controller("exec:python3 picky.py", folder.path()).kind;
-    let scenarios = draw_scenarios(3, 40);
-    let together = simulate_in_lockstep(&controller, &scenarios);
-    let failed = together.iter().filter(|one| one.outcome.failed_controller().is_some()).count();
-    assert!((1..40).contains(&failed), "{failed}");
-    for (scenario, together) in scenarios.iter().zip(together) {
-        assert_eq!(simulate_with_truth(&controller, scenario), together);
-    }
 }
 
 pub(crate) fn draw_scenarios(seed: u64, count: u64) -> Vec<Scenario> {
@@ -369,21 +349,4 @@ fn ten_thousand_runs_leave_no_process_and_no_descriptor() {
     let complete = run_crumple(folder.path(), "fsck 200");
     let message = stdout(&complete);
     assert!(message.starts_with("200: a count, complete;"), "all is counted, though nothing is shown: {message}");
-}
-
-mod tier_2 {
-    use super::*;
-
-    #[test]
-    #[ignore = "tier 2: seconds between kills"]
-    fn a_campaign_with_a_process_goes_on_after_a_kill() {
-        let Some(folder) = python_example_folder() else { return };
-        let text = fs::read_to_string(folder.path().join("follower.toml")).unwrap();
-        let alone =
-            crate::tiny::replace_passages(&text, &[("\"follower.py\"]\nfiles", "\"follower.py\", \"alone\"]\nfiles")]);
-        fs::write(folder.path().join("alone.toml"), alone).unwrap();
-        let campaign = "falsify --controller alone.toml --budget 200 --seed 5 --estimator truth";
-        let after_ms = (0..8).map(|round| 100 + 100 * round..300 + 150 * round);
-        assert_eq!(exit_code(&assert_survives_kills(folder.path(), campaign, after_ms)), 0);
-    }
 }

@@ -4,9 +4,7 @@ use std::process::Command;
 
 use crate::support;
 use crate::support::mutants::mutants;
-use crate::support::{
-    certificate, expand_to_substeps, follower_at, has_escape, one_ego_scene, pick_member, proofs, simulate_scene,
-};
+use crate::support::{certificate, expand_to_substeps, has_escape, pick_member, proofs, simulate_scene};
 use crumple_verify::*;
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
@@ -243,37 +241,6 @@ proptest! {
     }
 }
 
-/// 1500 steps in 30 branches with every multiplier in use; the time is for optimised builds.
-#[test]
-fn a_long_certificate_is_quick_to_check() {
-    let follower = SceneFollower { ttc_s: 1.4, ..follower_at(-10.0, 20.0) };
-    let mut scene = one_ego_scene((0.01, 1500), 1.0, [10.0, 40.0], [7.5, 3.0]);
-    scene.follower = Some(follower);
-    scene.leader.acceleration_mps2[0].1 = Interval::point(-7.0);
-    let rows = |end: u32| -> MultiplierRows { (0..end).map(|k| (k, 1e-6)).collect() };
-    let branch = |i: u32| Branch {
-        first: 50 * i,
-        last: if i == 29 { 1500 } else { 50 * i + 49 },
-        front: rows(1501).into_iter().map(|(k, y)| (k, if k == 400 { 1.0 } else { y })).collect(),
-        rear: rows(1501).into_iter().map(|(k, y)| (k, y * 1e-3)).collect(),
-        speed: vec![rows(1501).into_iter().map(|(k, y)| (k, y * 1e-3)).collect()],
-        unfired: rows(50 * i).into_iter().map(|(k, y)| (k, y * 1e-3)).collect(),
-        ..Branch::default()
-    };
-    let branches = (0..30).map(branch).collect();
-    let text =
-        serde_json::to_string(&certificate(Statement::Unavoidable(UnavoidableClaim { scene, branches }))).unwrap();
-    let certificate = Certificate::from_json(&text).unwrap();
-    let timed = |_| {
-        let begin = std::time::Instant::now();
-        check(&certificate).unwrap();
-        begin.elapsed()
-    };
-    let least = (0..20).map(timed).min().unwrap();
-    println!("checked in {least:?}");
-    assert!(least.as_millis() < 250, "{least:?}");
-}
-
 #[test]
 fn a_file_is_as_long_as_is_allowed_and_no_longer() {
     let most = crumple_verify::certificate::MAX_BYTES;
@@ -281,34 +248,6 @@ fn a_file_is_as_long_as_is_allowed_and_no_longer() {
     text.replace_range(..file.len(), &file);
     assert!(Certificate::from_json(&text[..most]).is_ok());
     assert!(matches!(Certificate::from_json(&text), Err(CertificateParseError::TooLong)));
-}
-
-#[test]
-fn assumptions_are_printed_in_words() {
-    use Assumption::*;
-    for (assumption, said) in [
-        (
-            ExactMotion,
-            "vehicles have the plant `point-mass`: accelerations are held over each step, and a vehicle that has \
-             stopped does not reverse",
-        ),
-        (ScriptedLeader, "the leader moves as scripted and reacts to no vehicle"),
-        (LatchedFollower, "the follower holds its speed until its latched emergency brake fires"),
-        (FollowerByLaw, "the follower applies the stated controller's command at each step, without delay"),
-        (EgoWithinLimits, "no vehicle under test brakes or accelerates harder than stated"),
-        (EgoOnProfile, "the vehicles under test follow the stated profile at once"),
-        (LeaderWithinLimit, "the vehicle ahead never brakes harder than stated"),
-        (EgoCanBrake, "from every decision on, the own vehicle can brake at the stated rate"),
-        (PolicyDrives, "the vehicle under test does at once what the stated policy asks for"),
-        (ObservedWithin, "what the policy observes is within the stated errors of the truth"),
-        (TanhWithin, "tanh in single precision is within 2^-22 of the true one"),
-        (ExpWithin, "exp and exp - 1 in single precision are within 2^-22 of themselves of the true ones"),
-        (NetworkAsRead, "the network is the one of its source file, as crumple read it, with the mapping stated"),
-        (RegisteredDraws, "runs are independent samples, registered before the first run"),
-        (NoiseOfSeed, "noise is that of the scenario's seed"),
-    ] {
-        assert_eq!(assumption.to_string(), said);
-    }
 }
 
 #[test]

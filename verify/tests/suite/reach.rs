@@ -480,25 +480,6 @@ fn a_decision_at_every_step_is_bounded_as_well() {
     }
 }
 
-/// Times are for optimised builds on idle machines.
-#[test]
-fn a_box_takes_a_fraction_of_a_second() {
-    let controller = NeuralController::from_bytes(&policy_bytes("reference")).unwrap();
-    let wide = native_network(&[256, 256, 256], 0.3, 5);
-    for (name, controller) in [("reference", &controller), ("3 x 256", &wide)] {
-        let scene = ReachProblem { stop_when_undecided: false, ..paper_problem(controller, paper_box(0.1, 0.02)) };
-        let timed = |_| {
-            let begin = std::time::Instant::now();
-            assert_eq!(reach(&scene).undecided, None);
-            begin.elapsed()
-        };
-        let least = (0..3).map(timed).min().unwrap();
-        println!("{name}: {least:?}");
-        // Ten times the idle time.
-        assert!(least.as_secs() < 5, "{name}: {least:?}");
-    }
-}
-
 proptest! {
     #[test]
     fn functions_of_forms_hold_the_values(

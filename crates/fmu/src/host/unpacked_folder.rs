@@ -130,24 +130,6 @@ mod tests {
         path
     }
 
-    #[test]
-    fn a_start_removes_folders_without_a_lock_and_keeps_those_in_use() {
-        let temporary = tempfile::tempdir().unwrap();
-        let in_use = UnpackedFolder::new_in(temporary.path()).unwrap();
-        fs::write(in_use.path().join("data.txt"), "data").unwrap();
-        assert_eq!(fs::metadata(in_use.path()).unwrap().permissions().mode() & 0o777, 0o700);
-        for name in ["1", "2", "3"] {
-            create_abandoned(temporary.path(), name);
-        }
-        let second = UnpackedFolder::new_in(temporary.path()).unwrap();
-        let mut expected = [in_use.path(), second.path()].map(|path| path.file_name().unwrap().to_str().unwrap());
-        expected.sort_unstable();
-        assert_eq!(sorted_names(temporary.path()), expected);
-        assert_eq!(fs::read_to_string(in_use.path().join("data.txt")).unwrap(), "data");
-        drop((in_use, second));
-        assert!(sorted_names(temporary.path()).is_empty());
-    }
-
     /// Other users can create any entry in a shared temporary folder.
     #[test]
     fn links_files_and_other_names_are_left_alone() {
@@ -176,6 +158,7 @@ mod tests {
                 scope.spawn(|| {
                     for _ in 0..50 {
                         let folder = UnpackedFolder::new_in(temporary.path()).unwrap();
+                        assert_eq!(fs::metadata(folder.path()).unwrap().permissions().mode() & 0o777, 0o700);
                         fs::write(folder.path().join("data.txt"), "data").unwrap();
                         std::thread::yield_now();
                         assert_eq!(fs::read_to_string(folder.path().join("data.txt")).unwrap(), "data");

@@ -246,14 +246,3 @@ impl RetrainingPlan {
         Ok(RunFolder::open(folder, asked)?)
     }
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_preset_is_valid_and_never_ends_by_itself() {
-        let preset = training_preset().unwrap();
-        assert_eq!((preset.name.as_str(), preset.evaluation.master_gap_m), ("harden", 0.0));
-    }
-}

@@ -334,14 +334,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_preset_is_valid_and_called_by_its_name() {
-        for (name, _) in PRESETS {
-            assert_eq!(TrainingConfig::preset(name).unwrap().name, name);
-        }
-        assert!(TrainingConfig::preset("slow").is_err());
-    }
-
-    #[test]
     fn steps_become_smaller_from_the_end_of_the_random_episodes_on() {
         let fall = LrDecay { until_episode: 300, final_factor: 0.2 };
         for (episode, share) in [(0, 1.0), (100, 1.0), (150, 0.8), (200, 0.6), (300, 0.2), (9000, 0.2)] {

@@ -92,18 +92,3 @@ fn a_late_emergency_brake_is_tuned_to_brake_earlier() {
         assert!(report.test[1].traffic.is_some(), "the report has both sides");
     }
 }
-
-#[test]
-fn plans_that_cannot_be_run_write_nothing() {
-    let folder = tempfile::tempdir().unwrap();
-    let good = plan("idm", &[], Method::CmaEs);
-    let refused = |change: &dyn Fn(&mut TuningPlan)| {
-        let mut plan = good.clone();
-        change(&mut plan);
-        plan.run(folder.path(), false, &Quiet).unwrap_err().to_string()
-    };
-    assert!(refused(&|plan| plan.spaces[1] = plan.spaces[0].clone()).starts_with("high-risk: occurs twice"));
-    assert!(refused(&|plan| plan.spaces[0].weight = f64::NAN).starts_with("high-risk: the weight must be between"));
-    assert!(refused(&|plan| plan.spaces.clear()).contains("at least one scenario space"));
-    assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 0);
-}

@@ -132,20 +132,6 @@ proptest! {
 }
 
 #[test]
-fn plain_traces_give_figures() {
-    let still = |length_m, at| track(length_m, vec![at; 4], vec![0.0; 4]);
-    let constant = Trace { time_s: vec![0.0, 1.0, 2.0, 3.0], vehicles: vec![still(2.0, 20.0), still(2.0, 0.0)] };
-    let one = |at| track(2.0, vec![at], vec![25.0]);
-    let single = Trace { time_s: vec![0.0], vehicles: vec![one(20.0), one(0.0)] };
-    let empty = Trace { time_s: vec![], vehicles: vec![] };
-    for trace in [constant, single, empty] {
-        for layout in LAYOUTS {
-            assert!(draw_figure(&trace, &[], layout).to_png(1.0).is_ok());
-        }
-    }
-}
-
-#[test]
 fn the_contact_is_written_and_drawn_in_every_panel() {
     let (trace, impacts) = simulate_line(&[false, false, true], Some(1.4), AfterContact::Stop);
     let svg = draw_figure(&trace, &impacts, PanelArrangement::Wide);

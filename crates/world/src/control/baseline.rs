@@ -95,14 +95,6 @@ mod tests {
     use super::*;
 
     #[test]
-    fn brakes_just_below_the_threshold_and_for_good() {
-        let mut baseline = Baseline::start(&AebSettings::default(), &EGO, 0);
-        assert_eq!(command_behind(&mut baseline, 20.0, 14.0, 10.0, 0.0), 0.0, "TTC is exactly 1.4 s");
-        assert_eq!(command_behind(&mut baseline, 20.0, 13.99, 10.0, 0.0), -7.5);
-        assert_eq!(command_behind(&mut baseline, 5.0, 50.0, 10.0, 0.0), -7.5, "latched");
-    }
-
-    #[test]
     fn the_unlatched_variant_lets_go() {
         let mut baseline = BaselineUnlatched::start(&AebSettings::default(), &EGO, 0);
         assert_eq!(command_behind(&mut baseline, 20.0, 13.99, 10.0, 0.0), -7.5);

@@ -362,46 +362,6 @@ speed_mps = 20.0
 driver = "under-test"
 "#;
 
-    #[test]
-    fn files_round_trip_through_both_formats() {
-        for (name, _) in built_in_scenario_names() {
-            let scenario = built_in_scenario(name).unwrap();
-            let toml = to_toml(&scenario).unwrap();
-            assert_eq!(from_toml(&toml, Path::new("a.toml")).unwrap(), scenario, "{toml}");
-            let json = serde_json::to_string_pretty(scenario.spec()).unwrap();
-            assert_eq!(from_json(&json, Path::new("a.json")).unwrap(), scenario, "{json}");
-        }
-    }
-
-    #[test]
-    fn errors_name_line_and_field() {
-        assert!(from_toml(GOOD, Path::new("good.toml")).is_ok());
-        let cases = [
-            (("speed_mps = 20.0\ndriver.b", "speed_mps = -3\ndriver.b"), "bad.toml:8: vehicles[0].speed_mps: must be"),
-            (("rate_mps2 = 3.0", "rate_mps2 = 31.0"), "bad.toml:9: vehicles[0].driver.brake.rate_mps2: must be"),
-            (("rate_mps2 = 3.0", "rate = 3.0"), "bad.toml:9: vehicles[0].driver.brake.rate: unknown field `rate`"),
-            (("position_m = 0.0", "position_m = 29"), "bad.toml:13: vehicles[1].position_m: overlaps vehicle 0"),
-            (("\"under-test\"", "\"nobody\""), "bad.toml:15: vehicles[1].driver: unknown variant `nobody`"),
-            (("duration_s = 5.0", "duration_s = nan"), "bad.toml:3: duration_s: must be a finite number"),
-            (("duration_s = 5.0", "duration_s = \"long\""), "bad.toml:3: duration_s: invalid type: string"),
-            (("version = 1", "version = 9"), "bad.toml:1: version: version 9 is not supported"),
-            (("name = \"two cars\"", "colour = 3"), "bad.toml:2: colour: unknown field `colour`"),
-        ];
-        for ((good, bad), expected) in cases {
-            let message = error_of(&GOOD.replacen(good, bad, 1));
-            assert!(message.starts_with(expected), "{message}\n  should start with\n{expected}");
-        }
-    }
-
-    #[test]
-    fn json_errors_name_line_and_field() {
-        let json = serde_json::to_string_pretty(built_in_scenario("paper-1").unwrap().spec()).unwrap();
-        let bad = json.replacen("\"speed_mps\": 25.0", "\"speed_mps\": -25.0", 1);
-        let message = from_json(&bad, Path::new("bad.json")).expect_err("negative speed").to_string();
-        let line = 1 + bad.lines().position(|l| l.contains("-25.0")).unwrap();
-        assert!(message.starts_with(&format!("bad.json:{line}: vehicles[0].speed_mps: must be")), "{message}");
-    }
-
     /// Truncated text and text that is not UTF-8 yield errors with a line, and without an invented field.
     #[test]
     fn errors_name_the_line_of_invalid_or_truncated_text() {

@@ -299,24 +299,14 @@ mod tests {
 
     #[test]
     fn each_kind_of_nonsense_names_its_field() {
-        assert_eq!(field_of(|s| s.version = 7), "version");
-        assert_eq!(field_of(|s| s.name.clear()), "name");
-        assert_eq!(field_of(|s| s.duration_s = 0.0), "duration_s");
-        assert_eq!(field_of(|s| s.duration_s = 1.005), "duration_s");
         assert_eq!(field_of(|s| s.duration_s = 99_999.0), "duration_s");
         assert_eq!(field_of(|s| s.step_s = f64::NAN), "step_s");
         assert_eq!(field_of(|s| s.seed = u64::MAX), "seed");
-        assert_eq!(field_of(|s| s.environment.friction = 0.0), "environment.friction");
-        assert_eq!(field_of(|s| s.sensors.dropout = 1.5), "sensors.dropout");
         assert_eq!(field_of(|s| s.sensors.faults.latency_s = -0.1), "sensors.faults.latency_s");
         assert_eq!(field_of(|s| s.sensors.faults.outage_rate_per_s = 1.0), "sensors.faults.outage_length_s");
         let near = GhostObject { onset_s: 0.0, duration_s: 1.0, gap_m: 0.0, speed_mps: 0.0 };
         assert_eq!(field_of(|s| s.sensors.faults.ghost = Some(near)), "sensors.faults.ghost.gap_m");
         assert_eq!(field_of(|s| s.vehicles.truncate(1)), "vehicles");
-        assert_eq!(field_of(|s| s.vehicles[1].position_m = 35.0), "vehicles[1].position_m");
-        assert_eq!(field_of(|s| s.vehicles[2].length_m = Some(-2.0)), "vehicles[2].length_m");
-        assert_eq!(field_of(|s| s.vehicles[0].speed_mps = f64::INFINITY), "vehicles[0].speed_mps");
-        assert_eq!(field_of(|s| s.vehicles[0].max_brake_mps2 = Some(2.0)), "vehicles[0].driver.brake");
     }
 
     #[test]

@@ -415,7 +415,7 @@ mod tests {
     use crate::control::{AebSettings, ControllerSpec};
     use crate::control::{AnyController, Ego};
     use crate::scenario::PaperDistribution;
-    use crate::sim::{RunOptions, simulate, simulate_batch};
+    use crate::sim::{RunOptions, simulate};
 
     #[test]
     fn commands_from_outside_equal_the_same_controller_inside() {
@@ -456,22 +456,6 @@ mod tests {
             }
             let with = simulate(&run, RecordingLevel::Summary);
             assert_eq!(stepper.finish(), SimulationResult { vehicles: Vec::new(), ..with });
-        }
-    }
-
-    #[test]
-    fn a_policy_drives_the_same_in_both_engines() {
-        let policy = |interval_s, seed| std::sync::Arc::new(crate::policy::tests::policy(&[16, 16], interval_s, seed));
-        let policies = [policy(0.01, 1), policy(0.1, 2), policy(0.05, 3)];
-        let scenarios: Vec<_> = (0..40).map(|index| PaperDistribution { seed: 5 }.draw(index).unwrap()).collect();
-        let runs: Vec<_> = scenarios
-            .iter()
-            .enumerate()
-            .map(|(index, scenario)| Run::new(scenario, RunOptions::new(policies[index / 2 % 3].clone())).unwrap())
-            .collect();
-        let lockstep = simulate_batch(&runs, RecordingLevel::Trace, |_, simulated| simulated);
-        for (run, lockstep) in runs.iter().zip(lockstep) {
-            assert_eq!(simulate(run, RecordingLevel::Trace), lockstep);
         }
     }
 }

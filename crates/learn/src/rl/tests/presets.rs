@@ -185,16 +185,3 @@ fn contradictory_settings_are_named() {
         assert!(message.starts_with(&format!("own.toml:{line}: {expected}")), "{message}, line {line}");
     }
 }
-
-/// A space file is read only when it is drawn from; the error still has the line that names it.
-#[test]
-fn spaces_that_cannot_be_drawn_from_have_the_line_that_names_them() {
-    let spaces = "[[spaces]]\nspace = \"steady\"\nweight = 1\n[[spaces]]\nweight = 1\nspace = \"nowhere\"\n";
-    let text = format!("{}\n{spaces}", PRESETS[0].1);
-    let path = Path::new("own.toml");
-    let config = TrainingConfig::parse(&text, path).unwrap();
-    let message = config.scenario_source().unwrap_err().with_location(&text, path).to_string();
-    let line = text.lines().count();
-    let expected = format!("own.toml:{line}: spaces[1].space: `nowhere` is neither a built-in space");
-    assert!(message.starts_with(&expected), "{message}");
-}

@@ -2,50 +2,6 @@ use proptest::prelude::*;
 
 use super::super::tests::EGO;
 use super::*;
-use crate::scenario::space::built_in_space;
-use crate::scenario::{Scenario, built_in_scenario};
-use crate::sim::{RecordingLevel, Run, RunOptions, simulate, simulate_batch};
-
-fn runs(scenarios: &[Scenario]) -> Vec<Run> {
-    let spec = crate::control::ControllerSpec::from_name(Predictive::NAME).unwrap();
-    scenarios.iter().map(|scenario| Run::new(scenario, RunOptions::new(spec.clone())).unwrap()).collect()
-}
-
-fn draws(space: &str, count: u64) -> Vec<Scenario> {
-    let space = built_in_space(space).unwrap();
-    (0..count).map(|index| space.draw(5, index).unwrap()).collect()
-}
-
-#[test]
-fn avoids_the_collisions_of_the_paper() {
-    let mut scenarios: Vec<_> =
-        ["paper-1", "paper-2", "paper-3"].iter().map(|name| built_in_scenario(name).unwrap()).collect();
-    scenarios.extend(draws("paper", 100));
-    for (run, scenario) in runs(&scenarios).iter().zip(&scenarios) {
-        assert!(simulate(run, RecordingLevel::Summary).outcome.is_safe(), "{}", scenario.spec().name);
-    }
-}
-
-/// Of 100 samples of `high-risk`, idm collides in about 42. In `traffic` no sample collides.
-#[test]
-fn collides_seldom_in_emergencies_and_never_in_traffic() {
-    let collisions = |space: &str, count: u64| {
-        let runs = runs(&draws(space, count));
-        let each = simulate_batch(&runs, RecordingLevel::Summary, |_, result| result.outcome.contact().is_some());
-        each.into_iter().filter(|&collided| collided).count()
-    };
-    assert!(collisions("high-risk", 100) <= 10);
-    assert_eq!(collisions("traffic", 40), 0);
-}
-
-#[test]
-fn both_engines_drive_it_alike() {
-    let runs = runs(&draws("high-risk", 24));
-    let together = simulate_batch(&runs, RecordingLevel::Trace, |_, result| result);
-    for (run, together) in runs.iter().zip(together) {
-        assert_eq!(simulate(run, RecordingLevel::Trace), together);
-    }
-}
 
 #[test]
 fn follows_by_idm_while_nothing_is_wrong() {

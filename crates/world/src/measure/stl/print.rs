@@ -182,6 +182,7 @@ mod tests {
         assert_eq!(column("a > 1 & b > 2"), 7, "an unknown sign");
         assert_eq!(column("a * b > 2"), 5, "a product of signals");
         assert_eq!(column("0 < a < 2"), 7, "a chain of comparisons");
+        assert_eq!(column("(a > 0) until (a > 1) until (a > 2)"), 23, "a chain of untils");
         assert_eq!(column("(a > 1) + 2 > 3"), 1, "a formula is no sum");
         assert_eq!(column("a > 1 and"), 10, "the end");
         assert_eq!(column("◇[0,1] a > "), 12, "columns are characters, not bytes");

@@ -157,15 +157,6 @@ fn travel_counts_noise_and_both_ends_of_the_road() {
     assert!((travel.position_m - farthest_m).abs() < 1e-9, "{} {farthest_m}", travel.position_m);
 }
 
-#[test]
-fn noise_of_the_vehicle_ahead_is_part_of_its_acceleration() {
-    let noisy =
-        built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles[0].acceleration_noise_mps2 = 0.25).unwrap();
-    let run = Run::new(&noisy, RunOptions::new(ControllerSpec::MatchLeader(Default::default()))).unwrap();
-    let travel = run.motion_bounds(0, &run.shield_params(1, &ShieldSettings::default()).unwrap());
-    assert_eq!(travel.ahead_accel_mps2, noisy.vehicles()[0].max_accel_mps2() + 1.5);
-}
-
 prop_compose! {
     fn far_away()(
         position_m in prop_oneof![-1e6..1e6_f64, 5e5..1e6_f64],
