@@ -150,6 +150,7 @@ fn to_json(path: &Path, value: &impl Serialize) -> Result<String, RunFolderError
 mod tests {
     use super::*;
     use crate::fixtures::rate_plan;
+    use crumple_core::observer::Quiet;
     use std::fs;
 
     fn plan(seed: u64) -> RatePlan {
