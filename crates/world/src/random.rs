@@ -4,7 +4,7 @@
 //! of a scenario space). Neither the order of evaluation nor the number of threads therefore changes a result.
 
 use std::convert::Infallible;
-use std::sync::LazyLock;
+use std::sync::{Arc, LazyLock};
 
 use rand::{Rng, SeedableRng, TryRng};
 use rand_distr::{Distribution, StandardNormal};
@@ -69,6 +69,69 @@ pub fn stream(seed: u64, purpose: Purpose, index: u64) -> Stream {
 pub fn derived_seed(seed: u64, index: u64) -> u64 {
     // A TOML integer is signed, and a scenario file must be able to hold the seed.
     scramble(scramble(seed).wrapping_add(index)) >> 1
+}
+
+/// Number of values that a consumer may sample at once. The length of each noise block is a multiple of it.
+pub(crate) const MAX_VALUES_AT_ONCE: usize = 16;
+
+/// Seeds of successive blocks of noise, for samplers that change the noise of a part of a run.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct NoiseBlocks {
+    seeds: Vec<u64>,
+    values: usize,
+}
+
+impl NoiseBlocks {
+    /// Divides the noise of `steps` steps into a block for each seed.
+    #[must_use]
+    pub fn new(seeds: Vec<u64>, steps: usize) -> Self {
+        let values = steps.div_ceil(seeds.len().max(1)).next_multiple_of(MAX_VALUES_AT_ONCE);
+        Self { seeds, values: values.max(MAX_VALUES_AT_ONCE) }
+    }
+}
+
+/// Noise of one consumer, with one seed or with [`NoiseBlocks`].
+#[derive(Debug, Clone)]
+pub(crate) struct NoiseStream {
+    stream: Stream,
+    purpose: Purpose,
+    index: u64,
+    blocks: Option<Arc<NoiseBlocks>>,
+    next_block: usize,
+    values_left: usize,
+}
+
+impl NoiseStream {
+    pub(crate) fn new(seed: u64, purpose: Purpose, index: u64) -> Self {
+        let stream = stream(seed, purpose, index);
+        Self { stream, purpose, index, blocks: None, next_block: 0, values_left: usize::MAX }
+    }
+
+    pub(crate) fn set_blocks(&mut self, blocks: &Arc<NoiseBlocks>) {
+        (self.blocks, self.values_left) = (Some(Arc::clone(blocks)), 0);
+    }
+
+    /// Returns the stream of the next values: 1 or [`MAX_VALUES_AT_ONCE`].
+    #[inline]
+    pub(crate) fn advance(&mut self, values: usize) -> &mut Stream {
+        if self.values_left == 0 {
+            self.start_block();
+        }
+        self.values_left -= values;
+        &mut self.stream
+    }
+
+    /// Starts the next block. The last one lasts to the end of the run.
+    #[cold]
+    fn start_block(&mut self) {
+        self.values_left = usize::MAX;
+        let Some(blocks) = &self.blocks else { return };
+        if let Some(&seed) = blocks.seeds.get(self.next_block) {
+            self.stream = stream(seed, self.purpose, self.index);
+            self.next_block += 1;
+            self.values_left = blocks.values;
+        }
+    }
 }
 
 /// Sampler of normal numbers for inner loops; bit-identical to [`StandardNormal`].

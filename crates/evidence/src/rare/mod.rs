@@ -21,8 +21,13 @@
 //!
 //! The runs are chosen adaptively, so they cannot count for a certificate; [`RatePlan`](super::RatePlan) does not
 //! accept them. If the likeliest cause of failures is hard to reach, few repetitions find it: estimate and spread are
-//! then far too low, more often than the interval states. Sensor noise is resampled, not guided, so failures that noise
-//! alone causes are found no sooner than by counting.
+//! then far too low, more often than the interval states.
+//!
+//! # Noise
+//!
+//! The noise of accelerations and measurements is divided into 64 parts of a run. A move draws new noise for some parts
+//! and keeps the others, which leaves the distribution of the noise invariant, too. Failures that noise alone causes
+//! are therefore reached step by step.
 
 mod folder;
 mod plan;

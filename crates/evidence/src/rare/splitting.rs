@@ -24,7 +24,9 @@ pub const PILOT_FACTORS: [usize; 3] = [1, 2, 4];
 const LATER_PILOT_STREAM_OFFSET: u64 = 1 << 41;
 const LEVEL_SHARE: f64 = 0.2;
 const MOVES_PER_LEVEL: usize = 4;
-/// Share of moves that also resample the noise.
+/// Number of parts of a run whose noise is moved separately.
+const NOISE_PARTS: usize = 64;
+/// Share of moves that resample all noise. It decorrelates runs that do not depend on their noise.
 const NEW_NOISE_SHARE: f64 = 0.25;
 /// Optimal acceptance of a random walk (Papaioannou and others, MCMC algorithms for subset simulation, 2015).
 const TARGET_ACCEPTANCE: f64 = 0.44;
@@ -36,8 +38,8 @@ const MIN_STEP: f64 = 0.02;
 pub(super) struct RandomInputs {
     /// Independent standard normal numbers, one per parameter.
     pub normal: Vec<f64>,
-    /// Seed of all noise.
-    pub noise_seed: u64,
+    /// Seeds of the noise in successive parts of the run. The first one is also the seed of all other random numbers.
+    pub noise_seeds: Vec<u64>,
 }
 
 /// A problem whose runs have a margin.
@@ -426,7 +428,7 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         let dimension = self.problem.dimension();
         let draw = |random: &mut Stream| RandomInputs {
             normal: (0..dimension).map(|_| StandardNormal.sample(random)).collect(),
-            noise_seed: new_noise_seed(random),
+            noise_seeds: (0..NOISE_PARTS).map(|_| new_noise_seed(random)).collect(),
         };
         let states: Vec<RandomInputs> = (0..self.samples).map(|_| draw(&mut self.random)).collect();
         let margins = self.evaluate_margins(&states)?;
@@ -447,25 +449,33 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
     }
 
     /// Moves every run once; a move that would leave the level is rejected. Returns the numbers of accepted and of all
-    /// moves that kept the noise.
+    /// moves that kept a part of the noise.
     fn mcmc_move(&mut self, population: &mut [Particle], stage: &SplittingStage) -> Result<(u64, u64), P::Error> {
         // An autoregressive step preserves the normal distribution (Neal, 1998; "preconditioned Crank-Nicolson").
         let kept = (1.0 - stage.step * stage.step).sqrt();
         let propose = |(state, _): &Particle, random: &mut Stream| {
-            let noise =
-                if random.random::<f64>() < NEW_NOISE_SHARE { new_noise_seed(random) } else { state.noise_seed };
-            let mut normal = |x: &f64| -> f64 {
+            // Each part of the noise is new with a probability that gives it the correlation of the normal numbers.
+            let is_all_new = random.random::<f64>() < NEW_NOISE_SHARE;
+            let noise_seed = |&seed: &u64| match is_all_new || random.random::<f64>() >= kept {
+                true => new_noise_seed(random),
+                false => seed,
+            };
+            let noise_seeds = state.noise_seeds.iter().map(noise_seed).collect();
+            let normal = |x: &f64| -> f64 {
                 let drawn: f64 = StandardNormal.sample(random);
                 kept * x + stage.step * drawn
             };
-            RandomInputs { normal: state.normal.iter().map(&mut normal).collect(), noise_seed: noise }
+            (RandomInputs { normal: state.normal.iter().map(normal).collect(), noise_seeds }, is_all_new)
         };
-        let proposals: Vec<RandomInputs> = population.iter().map(|sample| propose(sample, &mut self.random)).collect();
+        let (proposals, all_new): (Vec<RandomInputs>, Vec<bool>) =
+            population.iter().map(|sample| propose(sample, &mut self.random)).unzip();
         let margins = self.evaluate_margins(&proposals)?;
         let (mut accepted, mut proposed) = (0, 0);
-        for (sample, (proposal, margin)) in population.iter_mut().zip(proposals.into_iter().zip(margins)) {
+        for ((sample, is_all_new), (proposal, margin)) in
+            population.iter_mut().zip(all_new).zip(proposals.into_iter().zip(margins))
+        {
             let passes = stage.passes(margin);
-            if proposal.noise_seed == sample.0.noise_seed {
+            if !is_all_new {
                 proposed += 1;
                 accepted += u64::from(passes);
             }

@@ -7,7 +7,7 @@ use rand_distr::{Distribution, StandardNormal};
 use super::gap_faults::GapFaults;
 use super::{Accelerometer, DistanceEstimate, Filter, KnownChange, Sensor, Tuning};
 use crate::observation::{Neighbour, Observation};
-use crate::random::{self, Purpose, Stream};
+use crate::random::{self, NoiseBlocks, Purpose, Stream};
 use crate::scenario::Sensors;
 
 /// Bandwidth of all three filters, in rad/s.
@@ -119,6 +119,11 @@ impl EgoEstimator {
             estimator.start_filters(truth, [true, true]);
         }
         estimator
+    }
+
+    /// Gives each block of measurements its own seed.
+    pub(crate) fn set_noise_blocks(&mut self, blocks: &Arc<NoiseBlocks>) {
+        [&mut self.position.0, &mut self.ahead.0, &mut self.behind.0].map(|sensor| sensor.set_noise_blocks(blocks));
     }
 
     /// Restarts the filters of the neighbours that `changed` ([ahead, behind]). They start in steady state, because

@@ -23,6 +23,8 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use crate::random::NoiseBlocks;
+
 pub use driver::{Driver, FileDriver};
 pub use invalid::format_compact;
 pub use invalid::{AllowedRange, FieldProblem, InvalidField};
@@ -143,6 +145,7 @@ impl Default for Sensors {
 pub struct Scenario {
     spec: Arc<ScenarioSpec>,
     steps: usize,
+    noise_blocks: Option<Arc<NoiseBlocks>>,
 }
 
 impl ScenarioSpec {
@@ -186,7 +189,7 @@ impl Scenario {
     /// [`InvalidField`] names the first field that is out of range or contradicts another.
     pub fn new(spec: ScenarioSpec) -> Result<Self, InvalidField> {
         let steps = validate::check(&spec)?;
-        Ok(Self { spec: Arc::new(spec), steps })
+        Ok(Self { spec: Arc::new(spec), steps, noise_blocks: None })
     }
 
     /// Returns the data of the scenario.
@@ -203,6 +206,18 @@ impl Scenario {
         let mut spec = self.spec().clone();
         change(&mut spec);
         Self::new(spec)
+    }
+
+    /// Gives the noise of accelerations and measurements a seed for each part of the run, of equal duration. Other random
+    /// numbers depend on the seed of the spec. A file cannot state these seeds.
+    #[must_use]
+    pub fn with_noise_seeds(self, seeds: Vec<u64>) -> Self {
+        let blocks = NoiseBlocks::new(seeds, self.steps);
+        Self { noise_blocks: Some(Arc::new(blocks)), ..self }
+    }
+
+    pub(crate) fn noise_blocks(&self) -> Option<&Arc<NoiseBlocks>> {
+        self.noise_blocks.as_ref()
     }
 
     /// Returns the vehicles, front to rear.

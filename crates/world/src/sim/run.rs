@@ -328,7 +328,10 @@ impl Run {
         let estimates = vehicle.driver == Driver::UnderTest && self.options.estimator == EstimatorKind::Kalman;
         estimates.then(|| {
             let spec = self.scenario.spec();
-            EgoEstimator::new(spec.seed, index, &spec.sensors, self.tuning(), &true_state(platoon, index))
+            let truth = true_state(platoon, index);
+            let mut estimator = EgoEstimator::new(spec.seed, index, &spec.sensors, self.tuning(), &truth);
+            self.scenario.noise_blocks().into_iter().for_each(|blocks| estimator.set_noise_blocks(blocks));
+            estimator
         })
     }
 
