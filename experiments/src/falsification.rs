@@ -39,7 +39,10 @@ impl Problem<'_> {
 
     /// Returns the evaluations of the successful searches with successive seeds.
     pub(crate) fn successes(&self, method: &Method, first: u64, seeds: u64) -> Result<Vec<usize>, ExperimentError> {
-        (first..first + seeds).into_par_iter().filter_map(|seed| self.first_violation(method, seed).transpose()).collect()
+        (first..first + seeds)
+            .into_par_iter()
+            .filter_map(|seed| self.first_violation(method, seed).transpose())
+            .collect()
     }
 }
 

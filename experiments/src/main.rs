@@ -5,10 +5,11 @@
 
 mod both_sides;
 mod chasing_cars;
+mod falsification;
 mod filter_errors;
 mod learning_curve;
 mod scenario_of_input;
-mod search_comparison;
+mod transmission;
 
 /// Problems that the benches measure, too.
 #[allow(dead_code, unreachable_pub, reason = "a problem has functions that only a bench uses")]
@@ -38,7 +39,7 @@ const EXPERIMENTS: [Experiment; 6] = [
     Experiment { name: "filter_errors", arguments: "SCENARIO [FACTOR]", run: filter_errors::run },
     Experiment { name: "learning_curve", arguments: "TABLE.csv CONFIGURATION FIGURE.svg", run: learning_curve::run },
     Experiment { name: "scenario_of_input", arguments: "INPUT", run: scenario_of_input::run },
-    Experiment { name: "search_comparison", arguments: "EVALUATIONS SEEDS", run: search_comparison::run },
+    Experiment { name: "transmission", arguments: "FIRST_SEED SEEDS [METHOD]", run: transmission::run },
 ];
 
 fn main() -> ExitCode {

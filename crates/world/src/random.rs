@@ -4,9 +4,9 @@
 //! of a scenario space). Neither the order of evaluation nor the number of threads therefore changes a result.
 
 use std::convert::Infallible;
-use std::sync::{Arc, LazyLock};
+use std::sync::LazyLock;
 
-use rand::{Rng, SeedableRng, TryRng};
+use rand::{Rng, RngExt, SeedableRng, TryRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -71,66 +71,65 @@ pub fn derived_seed(seed: u64, index: u64) -> u64 {
     scramble(scramble(seed).wrapping_add(index)) >> 1
 }
 
-/// Number of values that a consumer may sample at once. The length of each noise block is a multiple of it.
-pub(crate) const MAX_VALUES_AT_ONCE: usize = 16;
-
-/// Seeds of successive blocks of noise, for samplers that change the noise of a part of a run.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct NoiseBlocks {
-    seeds: Vec<u64>,
-    values: usize,
+/// A share of the noise of a run: all normal numbers of a seed, times a weight.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NoiseShare {
+    /// Seed of the normal numbers.
+    pub seed: u64,
+    /// Weight. The sum of the squares of all weights is 1.
+    pub weight: f64,
 }
 
-impl NoiseBlocks {
-    /// Divides the noise of `steps` steps into a block for each seed.
-    #[must_use]
-    pub fn new(seeds: Vec<u64>, steps: usize) -> Self {
-        let values = steps.div_ceil(seeds.len().max(1)).next_multiple_of(MAX_VALUES_AT_ONCE);
-        Self { seeds, values: values.max(MAX_VALUES_AT_ONCE) }
-    }
-}
-
-/// Noise of one consumer, with one seed or with [`NoiseBlocks`].
+/// Noise of one consumer: normal numbers of one seed, or weighted sums of those of several seeds.
 #[derive(Debug, Clone)]
 pub(crate) struct NoiseStream {
     stream: Stream,
-    purpose: Purpose,
-    index: u64,
-    blocks: Option<Arc<NoiseBlocks>>,
-    next_block: usize,
-    values_left: usize,
+    weight: f64,
+    others: Vec<(Stream, f64)>,
+    normals: NormalSampler,
 }
 
 impl NoiseStream {
     pub(crate) fn new(seed: u64, purpose: Purpose, index: u64) -> Self {
-        let stream = stream(seed, purpose, index);
-        Self { stream, purpose, index, blocks: None, next_block: 0, values_left: usize::MAX }
+        Self { stream: stream(seed, purpose, index), weight: 1.0, others: Vec::new(), normals: NormalSampler::new() }
     }
 
-    pub(crate) fn set_blocks(&mut self, blocks: &Arc<NoiseBlocks>) {
-        (self.blocks, self.values_left) = (Some(Arc::clone(blocks)), 0);
+    /// Creates the noise of shares, the first of which has the seed `seed`; without shares, that of the seed.
+    pub(crate) fn from_shares(seed: u64, shares: &[NoiseShare], purpose: Purpose, index: u64) -> Self {
+        let mut noise = Self::new(seed, purpose, index);
+        if let Some((own, others)) = shares.split_first() {
+            noise.weight = own.weight;
+            noise.others = others.iter().map(|other| (stream(other.seed, purpose, index), other.weight)).collect();
+        }
+        noise
     }
 
-    /// Returns the stream of the next values: 1 or [`MAX_VALUES_AT_ONCE`].
     #[inline]
-    pub(crate) fn advance(&mut self, values: usize) -> &mut Stream {
-        if self.values_left == 0 {
-            self.start_block();
-        }
-        self.values_left -= values;
-        &mut self.stream
+    pub(crate) fn normal(&mut self) -> f64 {
+        let own = self.normals.sample(&mut self.stream);
+        if self.others.is_empty() { own } else { self.add_others(own) }
     }
 
-    /// Starts the next block. The last one lasts to the end of the run.
+    /// Returns the next normal numbers.
+    #[inline]
+    pub(crate) fn normals<const N: usize>(&mut self) -> [f64; N] {
+        // A local copy stays in registers.
+        let mut stream = self.stream.clone();
+        let own = std::array::from_fn(|_| self.normals.sample(&mut stream));
+        self.stream = stream;
+        if self.others.is_empty() { own } else { own.map(|one| self.add_others(one)) }
+    }
+
+    /// Returns a uniform number from 0 to 1, which depends on the first seed only.
+    #[inline]
+    pub(crate) fn uniform(&mut self) -> f64 {
+        self.stream.random()
+    }
+
     #[cold]
-    fn start_block(&mut self) {
-        self.values_left = usize::MAX;
-        let Some(blocks) = &self.blocks else { return };
-        if let Some(&seed) = blocks.seeds.get(self.next_block) {
-            self.stream = stream(seed, self.purpose, self.index);
-            self.next_block += 1;
-            self.values_left = blocks.values;
-        }
+    fn add_others(&mut self, own: f64) -> f64 {
+        let others = self.others.iter_mut().map(|(stream, weight)| *weight * self.normals.sample(stream));
+        self.weight * own + others.sum::<f64>()
     }
 }
 

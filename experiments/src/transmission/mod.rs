@@ -3,7 +3,8 @@
 //! ```sh
 //! cargo run --release -p crumple-experiments -- transmission 41000 100 [METHOD]        # first seed, seeds
 //! ```
-//! Inputs of instance 1 are arbitrary; here they have a piece for each second. Instance 2 has pieces of 5 s.
+//! Inputs of instance 1 are arbitrary; here they have a piece for each second. Instance 2 has pieces of 5 s. AT6a to
+//! AT6abc compare speeds in mph and rpm. The rows `scaled` divide each comparison by its bound, which changes no sign.
 
 mod model;
 
@@ -23,10 +24,8 @@ fn specifications() -> Vec<(String, String)> {
     let slow = |until_s: u32, mph: u32| format!("({low_rpm} implies always[0,{until_s}] speed < {mph})");
     let [a, b, c] = [slow(4, 35), slow(8, 50), slow(20, 65)];
     let named = |name: &str, formula: String| (name.to_owned(), formula);
-    let mut all = vec![
-        named("AT1", "always[0,20] speed < 120".to_owned()),
-        named("AT2", "always[0,10] rpm < 4750".to_owned()),
-    ];
+    let mut all =
+        vec![named("AT1", "always[0,20] speed < 120".to_owned()), named("AT2", "always[0,10] rpm < 4750".to_owned())];
     for gear in 1..=4 {
         let here = format!("(gear > {} and gear < {})", f64::from(gear) - 0.5, f64::from(gear) + 0.5);
         let shifted = format!("not {here} and eventually[0.01,0.1] {here}");
@@ -51,11 +50,22 @@ fn robustness(formula: &Formula, point: &[f64], piece_s: usize) -> Result<f64, E
     Ok(formula.robustness(&simulate(|t_s| inputs(point, piece_s, t_s))?)?)
 }
 
+/// Divides the comparisons of speeds by their bounds.
+fn scaled(formula: &str) -> String {
+    let bounds = [("rpm", 3000), ("speed", 35), ("speed", 50), ("speed", 65)];
+    bounds.into_iter().fold(formula.to_owned(), |text, (signal, bound)| {
+        text.replace(&format!("{signal} < {bound}"), &format!("{signal} / {bound} < 1"))
+    })
+}
+
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
     let mut problems = Vec::new();
     for (instance, piece_s) in PIECE_S.into_iter().enumerate() {
         let pieces = DURATION_S / piece_s;
-        for (name, text) in specifications() {
+        let published = specifications();
+        let joined = published.iter().filter(|(name, _)| name.starts_with("AT6"));
+        let scaled: Vec<_> = joined.map(|(name, text)| (format!("{name} scaled"), scaled(text))).collect();
+        for (name, text) in published.into_iter().chain(scaled) {
             let formula: Formula = text.parse()?;
             problems.push(Problem {
                 name: format!("{name}, instance {}", instance + 1),
@@ -68,4 +78,42 @@ pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
         }
     }
     print_table(&problems, arguments)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Inputs with pieces of 2 s, from the results of FalCAuN in 2024. `-` is throttle or brake 0.
+    const FALSIFYING: [(&str, [&str; 2]); 5] = [
+        ("AT1", ["FFFFFFFFFF------", "----------FFFFFF"]),
+        ("AT2", ["FFFFFFFFFFFFFFFF", "FFFFFFFFFFFFFFFF"]),
+        ("AT6a", ["HH--H--H--H-H-H-", "-FFFFFFF-F-F-F-F"]),
+        ("AT6c", ["HH-HH-HHHHHH-HHH", "-------------FF-"]),
+        ("AT6abc", ["HH------H-HH-H-H", "-FFF--F--FF-FFF-"]),
+    ];
+
+    fn robustness_with(name: &str, inputs: impl Fn(f64) -> [f64; 2]) -> f64 {
+        let text = specifications().into_iter().find(|(known, _)| known == name).unwrap().1;
+        text.parse::<Formula>().unwrap().robustness(&simulate(inputs).unwrap()).unwrap()
+    }
+
+    #[test]
+    fn published_inputs_falsify_and_published_extremes_are_reached() {
+        for (name, pieces) in FALSIFYING {
+            let level = |text: &str, t_s: f64| match text.as_bytes()[((t_s + 0.005) / 2.0) as usize] {
+                b'F' => 1.0,
+                b'H' => 0.5,
+                _ => 0.0,
+            };
+            let inputs = |t_s| [MAX_THROTTLE * level(pieces[0], t_s), MAX_BRAKE * level(pieces[1], t_s)];
+            assert!(robustness_with(name, inputs) < 0.0, "{name}");
+        }
+        // The description of this model in STGEM states the largest speed and engine speed at full throttle.
+        let full = |_| [MAX_THROTTLE, 0.0];
+        for (name, expected) in [("AT1", 120.0 - 120.213_271_492_615), ("AT2", 4750.0 - 4768.277_187_862_124)] {
+            let found = robustness_with(name, full);
+            assert!((found - expected).abs() < 1e-9, "{name}: {found}");
+        }
+    }
 }

@@ -25,9 +25,10 @@
 //!
 //! # Noise
 //!
-//! The noise of accelerations and measurements is divided into 64 parts of a run. A move draws new noise for some parts
-//! and keeps the others, which leaves the distribution of the noise invariant, too. Failures that noise alone causes
-//! are therefore reached step by step.
+//! Noise of accelerations, measurements and initial estimates is normal, and moves by the same autoregressive steps: it
+//! is a weighted sum of the noise of several seeds, and each accepted move adds a seed. Failures that noise causes are
+//! therefore reached step by step. Lost measurements and random controllers depend on the first seed, which only a
+//! quarter of the moves replace.
 
 mod folder;
 mod plan;

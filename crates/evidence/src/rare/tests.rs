@@ -1,7 +1,7 @@
 //! Problems with a known probability.
 
 use std::f64::consts::SQRT_2;
-use std::sync::{Arc, LazyLock};
+use std::sync::LazyLock;
 
 use rand::SeedableRng;
 use rand_distr::{Distribution, StandardNormal};
@@ -12,17 +12,17 @@ use super::*;
 use crate::fixtures::{count_all, rare_plan};
 use crate::{RateConfig, RatePlan};
 use crumple_core::observer::{ProgressCounter, Quiet, Stopped};
-use crumple_world::observation::EstimatorKind;
 use crumple_world::estimate::{Filter, Sensor, Tuning};
-use crumple_world::random::{NoiseBlocks, Purpose, Stream, stream};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::random::{NoiseShare, Purpose, Stream};
 use crumple_world::scenario::Sensors;
 
-struct ClosedFormLimitState<M = fn(&RandomInputs) -> f64> {
+struct ClosedFormLimitState {
     dimension: usize,
-    margin: M,
+    margin: fn(&RandomInputs) -> f64,
 }
 
-impl<M: Fn(&RandomInputs) -> f64 + Sync> LimitState for ClosedFormLimitState<M> {
+impl LimitState for ClosedFormLimitState {
     type Error = Stopped;
 
     fn dimension(&self) -> usize {
@@ -30,7 +30,7 @@ impl<M: Fn(&RandomInputs) -> f64 + Sync> LimitState for ClosedFormLimitState<M> 
     }
 
     fn margins(&self, states: &[RandomInputs]) -> Result<Vec<f64>, Stopped> {
-        Ok(states.iter().map(&self.margin).collect())
+        Ok(states.iter().map(self.margin).collect())
     }
 }
 
@@ -38,7 +38,7 @@ fn counter() -> ProgressCounter<'static> {
     ProgressCounter::new(&Quiet, None)
 }
 
-fn estimate(problem: &impl LimitState<Error = Stopped>, seed: u64) -> RareEstimate {
+fn estimate(problem: &ClosedFormLimitState, seed: u64) -> RareEstimate {
     let pilot = SplittingLevels::run_pilots(problem, SplittingConfig::default(), seed, &counter()).unwrap();
     pilot.estimate(problem, &counter()).unwrap()
 }
@@ -64,8 +64,11 @@ fn either_side(state: &RandomInputs) -> f64 {
 }
 
 fn noisy(state: &RandomInputs) -> f64 {
-    let parts = state.noise_seeds.iter().map(|&seed| -> f64 { StandardNormal.sample(&mut Stream::seed_from_u64(seed)) });
-    let noise = parts.sum::<f64>() / (state.noise_seeds.len() as f64).sqrt();
+    let share = |share: &NoiseShare| -> f64 {
+        let normal: f64 = StandardNormal.sample(&mut Stream::seed_from_u64(share.seed));
+        share.weight * normal
+    };
+    let noise = state.noise.iter().map(share).sum::<f64>();
     4.9 - (0.75_f64.sqrt() * coordinate(state, 0) + 0.5 * noise)
 }
 
@@ -97,11 +100,10 @@ fn filter_deviations() -> [f64; 2] {
 /// Returns the errors with noise of a sensor, in standard deviations.
 fn noisy_filter_errors(state: &RandomInputs) -> [f64; 2] {
     static DEVIATIONS: LazyLock<[f64; 2]> = LazyLock::new(filter_deviations);
-    let first = *state.noise_seeds.first().unwrap();
-    let mut sensor = Sensor::new(first, Purpose::PositionSensor, 0, 1.0, &Sensors::default());
-    sensor.set_noise_blocks(&Arc::new(NoiseBlocks::new(state.noise_seeds.clone(), FILTER_STEPS)));
-    let mut first_errors = stream(first, Purpose::InitialEstimate, 0);
-    let initial = std::array::from_fn(|_| StandardNormal.sample(&mut first_errors));
+    let (seed, sensors) = (state.noise[0].seed, Sensors::default());
+    let sensor = |purpose| Sensor::with_noise_shares(seed, &state.noise, purpose, 0, 1.0, &sensors);
+    let (mut first, mut sensor) = (sensor(Purpose::InitialEstimate), sensor(Purpose::PositionSensor));
+    let initial = std::array::from_fn(|_| first.measure(0.0).unwrap());
     let [distance, rate] = filter_errors(initial, || sensor.measure(0.0).unwrap());
     [distance / DEVIATIONS[0], rate / DEVIATIONS[1]]
 }

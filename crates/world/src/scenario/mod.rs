@@ -23,7 +23,7 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
-use crate::random::NoiseBlocks;
+use crate::random::NoiseShare;
 
 pub use driver::{Driver, FileDriver};
 pub use invalid::format_compact;
@@ -145,7 +145,7 @@ impl Default for Sensors {
 pub struct Scenario {
     spec: Arc<ScenarioSpec>,
     steps: usize,
-    noise_blocks: Option<Arc<NoiseBlocks>>,
+    noise_shares: Option<Arc<[NoiseShare]>>,
 }
 
 impl ScenarioSpec {
@@ -189,7 +189,7 @@ impl Scenario {
     /// [`InvalidField`] names the first field that is out of range or contradicts another.
     pub fn new(spec: ScenarioSpec) -> Result<Self, InvalidField> {
         let steps = validate::check(&spec)?;
-        Ok(Self { spec: Arc::new(spec), steps, noise_blocks: None })
+        Ok(Self { spec: Arc::new(spec), steps, noise_shares: None })
     }
 
     /// Returns the data of the scenario.
@@ -208,16 +208,15 @@ impl Scenario {
         Self::new(spec)
     }
 
-    /// Gives the noise of accelerations and measurements a seed for each part of the run, of equal duration. Other random
-    /// numbers depend on the seed of the spec. A file cannot state these seeds.
+    /// Replaces the normal noise of accelerations, measurements and initial estimates by the sum of `shares`. The seed of
+    /// the first one must be that of the spec, which determines all other random numbers. A file cannot state shares.
     #[must_use]
-    pub fn with_noise_seeds(self, seeds: Vec<u64>) -> Self {
-        let blocks = NoiseBlocks::new(seeds, self.steps);
-        Self { noise_blocks: Some(Arc::new(blocks)), ..self }
+    pub fn with_noise_shares(self, shares: &[NoiseShare]) -> Self {
+        Self { noise_shares: Some(shares.into()), ..self }
     }
 
-    pub(crate) fn noise_blocks(&self) -> Option<&Arc<NoiseBlocks>> {
-        self.noise_blocks.as_ref()
+    pub(crate) fn noise_shares(&self) -> &[NoiseShare] {
+        self.noise_shares.as_deref().unwrap_or_default()
     }
 
     /// Returns the vehicles, front to rear.

@@ -328,10 +328,8 @@ impl Run {
         let estimates = vehicle.driver == Driver::UnderTest && self.options.estimator == EstimatorKind::Kalman;
         estimates.then(|| {
             let spec = self.scenario.spec();
-            let truth = true_state(platoon, index);
-            let mut estimator = EgoEstimator::new(spec.seed, index, &spec.sensors, self.tuning(), &truth);
-            self.scenario.noise_blocks().into_iter().for_each(|blocks| estimator.set_noise_blocks(blocks));
-            estimator
+            let (shares, truth) = (self.scenario.noise_shares(), true_state(platoon, index));
+            EgoEstimator::with_noise_shares(spec.seed, shares, index, &spec.sensors, self.tuning(), &truth)
         })
     }
 

@@ -1,8 +1,9 @@
 //! Acceleration noise of one vehicle position, in all runs of a block.
 
 use super::per_run::PerRun;
-use crate::random::MAX_VALUES_AT_ONCE as PREFETCHED_STEPS;
 use crate::sim::actuator::Disturbance;
+
+const PREFETCHED_STEPS: usize = 16;
 
 /// Noise that is sampled some steps ahead. Each stream has one consumer, so that the time of sampling does not matter.
 pub(super) struct Noise {
@@ -39,7 +40,7 @@ impl Noise {
     fn refill(&mut self) {
         for (run, source) in self.sources.iter_mut().enumerate() {
             if let Some(source) = source {
-                let drawn_mps2: [f64; PREFETCHED_STEPS] = source.next_many_mps2();
+                let drawn_mps2: [f64; PREFETCHED_STEPS] = source.next_n_mps2();
                 for (row, noise_mps2) in self.buffer_mps2.chunks_exact_mut(self.row_len).zip(drawn_mps2) {
                     row[run] = noise_mps2;
                 }
