@@ -240,6 +240,19 @@ mod tests {
     }
 
     #[test]
+    fn shares_of_noise_add_up_one_at_a_time_and_many_at_once() {
+        let shares = [(3, 0.8), (4, 0.6)].map(|(seed, weight)| NoiseShare { seed, weight });
+        let noise = |shares: &[NoiseShare]| NoiseStream::from_shares(3, shares, Purpose::AccelerationNoise, 1);
+        let (mut one, many) = (noise(&shares), noise(&shares).normals::<32>());
+        let mut plain = [3, 4].map(|seed| NoiseStream::new(seed, Purpose::AccelerationNoise, 1));
+        for found in many {
+            let [own, other] = plain.each_mut().map(NoiseStream::normal);
+            assert_eq!([found, found], [0.8 * own + 0.6 * other, one.normal()]);
+        }
+        assert_eq!(noise(&[]).normals::<4>(), NoiseStream::new(3, Purpose::AccelerationNoise, 1).normals());
+    }
+
+    #[test]
     fn streams_are_distinct_and_repeatable() {
         let mut seen = HashSet::new();
         for seed in 0..20 {
