@@ -9,6 +9,7 @@ mod falsification;
 mod filter_errors;
 mod learning_curve;
 mod scenario_of_input;
+mod search_comparison;
 mod transmission;
 
 /// Problems that the benches measure, too.
@@ -28,7 +29,7 @@ struct Experiment {
     run: fn(&[String]) -> Result<(), ExperimentError>,
 }
 
-const EXPERIMENTS: [Experiment; 6] = [
+const EXPERIMENTS: [Experiment; 7] = [
     Experiment {
         name: "both_sides",
         arguments: "RUNS CONTROLLER... [FIGURE.svg] [MEASURED.csv] [space=SPACE]... [seed=N] [estimator=truth] \
@@ -39,6 +40,7 @@ const EXPERIMENTS: [Experiment; 6] = [
     Experiment { name: "filter_errors", arguments: "SCENARIO [FACTOR]", run: filter_errors::run },
     Experiment { name: "learning_curve", arguments: "TABLE.csv CONFIGURATION FIGURE.svg", run: learning_curve::run },
     Experiment { name: "scenario_of_input", arguments: "INPUT", run: scenario_of_input::run },
+    Experiment { name: "search_comparison", arguments: "EVALUATIONS SEEDS", run: search_comparison::run },
     Experiment { name: "transmission", arguments: "FIRST_SEED SEEDS [METHOD]", run: transmission::run },
 ];
 

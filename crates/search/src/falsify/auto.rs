@@ -1,7 +1,6 @@
 //! A portfolio of methods that share the budget, because no method is best for all problems.
 
 use rand::RngExt;
-use rand_distr::{Distribution, StandardNormal};
 
 use super::climb::{ClimbMove, Climbs};
 use super::cma_es::{CmaRun, INITIAL_SIGMA, default_population};
@@ -13,10 +12,8 @@ use super::surrogate::{MetricSelection, Surrogate};
 use super::{SearchAlgorithm, UnitCube};
 use crumple_world::random::{Purpose, Stream, stream};
 
-/// Number of initial points. Most have few pieces and many extreme values, and solve problems with extreme inputs.
+/// Number of initial points with few pieces and many extreme values; they solve problems with extreme inputs.
 const INITIAL_POINTS: usize = 16;
-/// Of each six initial points, the last two are near the centre: they solve problems without extreme inputs.
-const INITIAL_CYCLE: [bool; 6] = [false, false, false, false, true, true];
 const DESCENT_PIECES: usize = 10;
 /// Initial step size of a descent that starts at a good point, and the number of best points to choose from.
 const LOCAL_SIGMA: f64 = 0.15;
@@ -50,7 +47,7 @@ struct BatchPlan {
 
 /// A portfolio of methods that uses only the unit cube and the values of its points.
 ///
-/// The search starts with a few simple points and some near the centre, and then alternates:
+/// The search starts with a few simple points, and then alternates:
 ///
 /// - A *descent* runs CMA-ES on signals of at most ten pieces while the best value falls. A surrogate screens points.
 /// - *Exploration* samples points with few pieces and extreme values, and bisects segments to find the edges of
@@ -164,14 +161,6 @@ impl Auto {
         PortfolioProposal::Simple(sample_simple_point(&self.cube, &mut self.random))
     }
 
-    fn propose_central(&mut self) -> PortfolioProposal {
-        let near = |random: &mut Stream| {
-            let normal: f64 = StandardNormal.sample(random);
-            (0.5 + INITIAL_SIGMA * normal).clamp(0.0, 1.0)
-        };
-        PortfolioProposal::Simple((0..self.cube.dimension()).map(|_| near(&mut self.random)).collect())
-    }
-
     fn propose_screened(&mut self) -> PortfolioProposal {
         let Some(surrogate) = &self.surrogate else { return self.propose_simple() };
         let candidates = (0..SCREENING_CANDIDATES).map(|_| sample_simple_point(&self.cube, &mut self.random));
@@ -274,10 +263,7 @@ impl SearchAlgorithm for Auto {
             self.good_points.truncate(MAX_GOOD_POINTS);
         }
         if self.good_points.len() + self.descents == 0 {
-            for is_central in INITIAL_CYCLE.into_iter().cycle().take(INITIAL_POINTS) {
-                let next = if is_central { self.propose_central() } else { self.propose_simple() };
-                self.pending.push(next);
-            }
+            self.propose_batch(BatchPlan { screened: 0, simple: INITIAL_POINTS, edges: 0 });
         } else if self.exploration_left > 0 {
             self.propose_batch(EXPLORATION_PLAN);
         } else {
