@@ -19,7 +19,7 @@ use crumple::world::measure::stl::Formula;
 /// Minimum violation of a counterexample, in metres.
 const MARGIN_M: f64 = 0.01;
 
-/// Returns the value that the search receives, the larger one of both steps, and whether the replay confirms a violation.
+/// Returns the value that the search receives, the larger one of both steps, and whether a replay confirms a violation.
 fn evaluate(formula: &Formula, point: &[f64]) -> Result<(f64, bool), ExperimentError> {
     let inputs = ChasingCarsInputs::from_unit(point);
     let mut value = robustness(formula, &inputs)?;

@@ -17,7 +17,7 @@ use crumple::world::measure::stl::Formula;
 /// Duration of a piece of the inputs, in seconds, of each instance.
 const PIECE_S: [usize; 2] = [1, 5];
 
-/// Returns names and formulas of the ten specifications. A next sample of the published AT51 to AT54 is one within 0.1 s
+/// Returns names and formulas of the ten specifications. The next sample of AT51 to AT54 is one within 0.1 s
 /// here, as in the published formulas without next; comparisons of the gear with numbers are half a gear away.
 fn specifications() -> Vec<(String, String)> {
     let low_rpm = "always[0,30] rpm < 3000";
