@@ -208,8 +208,8 @@ impl Scenario {
         Self::new(spec)
     }
 
-    /// Replaces the normal noise of accelerations, measurements and initial estimates by the sum of `shares`. The seed
-    /// of the first one must be that of the spec, which determines all other random numbers. A file cannot state shares.
+    /// Replaces the normal noise of accelerations, measurements and initial estimates by the sum of `shares`. The first
+    /// seed must be that of the spec, which determines all other random numbers. A file cannot state shares.
     #[must_use]
     pub fn with_noise_shares(self, shares: &[NoiseShare]) -> Self {
         Self { noise_shares: Some(shares.into()), ..self }
