@@ -3,8 +3,8 @@
 use std::path::PathBuf;
 
 use crumple_evidence::MethodComparison;
+use crumple_search::falsify::FailureCriterion;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
-use crumple_search::falsify::{FailureCriterion, MetamorphicRelation};
 use crumple_world::measure::Specification;
 use pyo3::prelude::*;
 
@@ -24,7 +24,7 @@ pub(crate) fn falsify<'py>(
     controller: &Bound<'py, PyAny>,
     space: PyRef<'py, PySpace>,
     spec: &str,
-    beside: (Option<Bound<'py, PyAny>>, Option<String>),
+    against: Option<Bound<'py, PyAny>>,
     method: &Bound<'py, PyAny>,
     aim: &str,
     budget: u64,
@@ -40,7 +40,7 @@ pub(crate) fn falsify<'py>(
         objective: aim.parse().map_err(|error| wrong(py, &error))?,
         budget,
         seed,
-        ..campaign(py, controller, &space, spec, beside, estimator, &stop)?
+        ..campaign(py, controller, &space, spec, against, estimator, &stop)?
     };
     let total = budget.saturating_mul(campaign.methods().len() as u64);
     let summary = run_interruptible(py, &stop, progress.as_ref(), |say| {
@@ -60,7 +60,7 @@ pub(crate) fn compare<'py>(
     controller: &Bound<'py, PyAny>,
     space: PyRef<'py, PySpace>,
     spec: &str,
-    beside: (Option<Bound<'py, PyAny>>, Option<String>),
+    against: Option<Bound<'py, PyAny>>,
     methods: Vec<Bound<'py, PyAny>>,
     seeds: u64,
     budget: u64,
@@ -69,7 +69,7 @@ pub(crate) fn compare<'py>(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(Bound<'py, PyAny>, String)> {
     let (stop, raised) = (StopFlag::default(), RaisedException::default());
-    let campaign = Campaign { budget, seed, ..campaign(py, controller, &space, spec, beside, estimator, &stop)? };
+    let campaign = Campaign { budget, seed, ..campaign(py, controller, &space, spec, against, estimator, &stop)? };
     let methods = methods.iter().map(|method| resolve_method(method, &raised)).collect::<PyResult<Vec<_>>>()?;
     let compared = run_interruptible(py, &stop, progress.as_ref(), |say| {
         let observe = |state: &CampaignProgress| say((state.evaluations, state.total, state.failures));
@@ -86,23 +86,15 @@ fn campaign<'py>(
     controller: &Bound<'py, PyAny>,
     space: &PySpace,
     spec: &str,
-    beside: (Option<Bound<'py, PyAny>>, Option<String>),
+    against: Option<Bound<'py, PyAny>>,
     estimator: &str,
     stop: &StopFlag,
 ) -> PyResult<Campaign> {
     let space = space.0.clone();
     let nominal = space.scenario(&space.nominal()).map_err(|error| errors::field_exception(py, &error))?;
-    let criterion = match beside {
-        (None, None) => None,
-        (Some(other), None) => Some(FailureCriterion::Differential(controller::resolve_controller(&other, stop)?)),
-        (None, Some(relation)) => {
-            let relation = relation.parse::<MetamorphicRelation>().map_err(|error| wrong(py, &error))?;
-            Some(FailureCriterion::Metamorphic(relation))
-        }
-        (Some(_), Some(_)) => return Err(wrong(py, &"against and metamorphic do not go together")),
-    };
+    let against = against.map(|other| controller::resolve_controller(&other, stop)).transpose()?;
     Ok(Campaign {
-        failure_criterion: criterion,
+        failure_criterion: against.map(FailureCriterion::Differential),
         estimator: parse_choice("estimator", estimator, &ESTIMATORS)?,
         specification: Specification::parse(spec, &nominal).map_err(|error| wrong(py, &format!("spec: {error}")))?,
         ..Campaign::new(controller::resolve_controller(controller, stop)?, space)

@@ -1,6 +1,6 @@
 //! Families of scenarios and properties for tests.
 
-use crumple_testing::{ControllerUnderTest, Property, PropertyVerdict, Scenarios, ScenariosError};
+use crumple_testing::{ControllerUnderTest, MetamorphicRelation, Property, PropertyVerdict, Scenarios, ScenariosError};
 use pyo3::prelude::*;
 
 use crate::controller;
@@ -92,8 +92,21 @@ impl PyProperty {
 
     #[staticmethod]
     fn metamorphic(py: Python<'_>, relation: &str) -> PyResult<Self> {
-        let relation = relation.parse().map_err(|error| errors::exception(py, ExceptionClass::Campaign, &error))?;
-        Ok(Self(Property::metamorphic(relation)))
+        let (name, amount) = relation.split_once('=').unwrap_or((relation, ""));
+        let by = amount.parse::<f64>().ok().filter(|by| by.is_finite() && *by > 0.0);
+        let found = match (name, by) {
+            ("larger-gap", Some(by_m)) => MetamorphicRelation::LargerGap { by_m },
+            ("more-friction", Some(by)) => MetamorphicRelation::MoreFriction { by },
+            ("earlier-reaction", Some(by_s)) => MetamorphicRelation::EarlierReaction { by_s },
+            _ => {
+                let problem = format!(
+                    "`{relation}` is not a relation: use larger-gap=M, more-friction=F or earlier-reaction=S, with a \
+                     number above 0"
+                );
+                return Err(errors::exception(py, ExceptionClass::Campaign, &problem));
+            }
+        };
+        Ok(Self(Property::metamorphic(found)))
     }
 
     #[staticmethod]

@@ -1,18 +1,18 @@
 //! Arguments that several subcommands share, such as scenarios and controllers.
 
 use std::ops::RangeInclusive;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 use super::{CliError, output};
-use crumple_store::shard::ShardId;
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
-use crumple_world::network::NetworkFile;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{ScenarioSpace, find_space};
 use crumple_world::scenario::{Driver, Scenario, built_in_scenario, built_in_scenario_names, file};
-use crumple_world::sim::{NamedController, RecordingLevel, Run, RunOptions, SimulationResult, simulate};
+use crumple_world::sim::{
+    ControllerKind, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, simulate,
+};
 
 /// Returns a built-in scenario, or loads one from a file.
 pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, CliError> {
@@ -40,15 +40,6 @@ pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, CliError> {
         }
     }
     Ok(scenario)
-}
-
-/// Returns the folder of results: `out`, or else `default`, for a shard with its index.
-pub(super) fn result_folder(out: Option<&Path>, default: &str, shard: Option<ShardId>) -> PathBuf {
-    match (out, shard) {
-        (Some(out), _) => out.to_owned(),
-        (None, None) => PathBuf::from(default),
-        (None, Some(shard)) => PathBuf::from(format!("{default}-shard-{}-of-{}", shard.index(), shard.count())),
-    }
 }
 
 pub(super) fn whole_number(range: RangeInclusive<u64>) -> impl Fn(&str) -> Result<u64, String> + Clone {
@@ -100,13 +91,15 @@ pub(super) fn parse_controller(name: &str) -> Result<NamedController, String> {
     Ok(found)
 }
 
+/// Loads a policy in crumple's own format, built in or from a file.
 pub(super) fn parse_own_policy(name: &str) -> Result<NamedController, String> {
-    if NetworkFile::is_network(Path::new(name)) {
-        return Err(
-            "is an imported network, which crumple cannot train; use a policy that `crumple train` wrote".to_owned()
-        );
+    let usable = "use `policy`, `retrained`, `road`, or a policy file that `crumple train` wrote";
+    match parse_controller(name) {
+        Ok(found) if found.policy().is_some() && !matches!(found.kind, ControllerKind::Shielded(_)) => Ok(found),
+        Ok(_) => Err(format!("`{name}` cannot be retrained: {usable}")),
+        Err(_) if !Path::new(name).exists() => Err(format!("there is no policy `{name}`: {usable}")),
+        Err(error) => Err(error),
     }
-    parse_controller(name)
 }
 
 /// Controllers that arguments name. Their programs start only after all arguments are read.

@@ -12,7 +12,7 @@ use crumple_evidence::MethodComparison;
 use crumple_search::falsify::campaign::{
     Campaign, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog, MethodSummary, SearchObjective,
 };
-use crumple_search::falsify::{FailureCriterion, MetamorphicRelation, Method, non_finite};
+use crumple_search::falsify::{FailureCriterion, Method, non_finite};
 use crumple_store::disk::StagedFiles;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -35,9 +35,8 @@ correction of Holm).
 
 Named specifications for --spec are `no braking without cause` (how much harder than a reference driver the vehicle \
 may brake), `imposed braking at most 4 m/s2` (of the follower) and `no amplification` (the vehicle's largest change \
-of speed does not exceed that of its leader, if all vehicles have the same initial speed). With --against or \
---metamorphic a failure has two runs. Its robustness is max(r, -r of the other run): negative if only the first run \
-fails. `counterexamples/partners/` contains the other scenario of --metamorphic.
+of speed does not exceed that of its leader, if all vehicles have the same initial speed). With --against a failure \
+has two runs. Its robustness is max(r, -r of the other run): negative if only the first run fails.
 
 Formulas for --spec use signals such as v1.gap_m, v1.ttc_s, v1.headway_s, v1.drac_mps2, v0.speed_mps, v1.accel_mps2 \
 and v1.jerk_mps3; vehicles are numbered from the front. A formula may have 4000 tokens, nested 64 deep, and a space \
@@ -69,7 +68,8 @@ pub(super) struct Falsify {
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
-    /// Failures to prefer after the first one is found: severest, likeliest or nearest (to nominal)
+    /// Failures to prefer after the first one is found: severest, likeliest, nearest (to nominal) or harm
+    /// (expected number of seriously injured drivers)
     #[arg(long, value_name = "A", default_value = "severest")]
     aim: SearchObjective,
     /// Evaluations of the method, and of each reference search: 1 to 1 000 000 000
@@ -82,13 +82,8 @@ pub(super) struct Falsify {
     #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT)]
     spec: String,
     /// Count only failures in scenarios that this other controller passes
-    #[arg(long, value_name = "CONTROLLER", value_parser = args::parse_controller, conflicts_with = "metamorphic")]
+    #[arg(long, value_name = "CONTROLLER", value_parser = args::parse_controller)]
     against: Option<NamedController>,
-    /// Count only failures that a harder scenario avoids: with `larger-gap=M`, the one in which vehicles ahead start M
-    /// metres nearer; with `more-friction=F`, the one with friction lower by F; with `earlier-reaction=S`, the one with
-    /// reactions S seconds later
-    #[arg(long, value_name = "RELATION")]
-    metamorphic: Option<MetamorphicRelation>,
     /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
@@ -148,13 +143,6 @@ impl SearchExpectation {
             }
             // Runs without a verdict are no evidence for the controller.
             (Self::Nothing, false) => {
-                let without_partner: u64 = summary.methods.iter().filter_map(|method| method.without_partner).sum();
-                if without_partner > 0 && without_partner == evaluations {
-                    return Err(CliError::Gate(format!(
-                        "expected no failure, but none of {evaluations} evaluations has a second scenario to compare \
-                         with"
-                    )));
-                }
                 match summary.methods.iter().find_map(|method| method.other_unanswered.as_ref()) {
                     Some(unanswered) => Err(CliError::Gate(format!(
                         "expected no failure, but some evaluations have no verdict, because the other controller gave \
@@ -174,13 +162,12 @@ impl Falsify {
         let space = load_space(&self.space)?;
         let nominal = space.scenario(&space.nominal()).map_err(CliError::input)?;
         let specification = args::parse_specification(&self.spec, &nominal, quiet)?;
-        let against = self.against.map(FailureCriterion::Differential);
         let campaign = Campaign {
             controller: self.controller,
             estimator: self.estimator,
             space,
             specification,
-            failure_criterion: against.or(self.metamorphic.map(FailureCriterion::Metamorphic)),
+            failure_criterion: self.against.map(FailureCriterion::Differential),
             method: self.method,
             objective: self.aim,
             budget: self.budget,

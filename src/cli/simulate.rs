@@ -9,14 +9,14 @@ use super::run_report::{
     PartReport, RunReport, SpecificationResult, describe, fell_behind, lane_changes, unnecessary_braking,
 };
 use super::{CliError, args, feature, value_enums};
-use crumple_evidence::RateInterval;
 use crumple_report::draw::{self, MotionFigure, PanelArrangement, Svg};
 use crumple_report::export;
+use crumple_search::confirmation::ReplayShare;
 use crumple_search::falsify::counterexample::{ExpectedFile, VerdictRecordReader};
 use crumple_store::disk::StagedFiles;
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, PlantKind, Scenario, ScenarioSpec, built_in_scenario, file};
+use crumple_world::scenario::{PlantKind, Scenario, built_in_scenario, file};
 use crumple_world::sim::{
     AfterContact, Impact, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Trace, simulate,
     simulate_batch,
@@ -197,7 +197,9 @@ impl Simulate {
         files.commit()?;
         let mut text: String = results.iter().map(|result| result.text.as_str()).collect();
         if let (Some(plant), true, OutputFormat::Text) = (self.plant, many, self.format) {
-            text += &describe_collision_share(plant, &results);
+            let share = ReplayShare::from_results(results.iter().map(|result| result.collided));
+            let share = share.map(|share| share.describe("scenarios have a collision"));
+            text += &format!("{}: {}\n", plant.name(), share.unwrap_or_default());
         }
         let printed = output::print_coloured(self.format, &text);
         CliError::gate_first(self.check_expectation(&runs, &results), printed)
@@ -272,10 +274,7 @@ impl Simulate {
         };
         match self.plant {
             None => Ok(scenario),
-            Some(plant) => {
-                let changed = scenario.edited(|spec| set_plant(spec, plant));
-                changed.map_err(|error| CliError::Input(format!("--plant: {error}")))
-            }
+            Some(plant) => scenario.with_plant(plant).map_err(|error| CliError::Input(format!("--plant: {error}"))),
         }
     }
 
@@ -366,29 +365,6 @@ fn list_scenario_files(names: Vec<String>) -> Result<Vec<String>, CliError> {
         files.extend(found.into_iter().map(|(path, _)| path.to_string_lossy().into_owned()));
     }
     Ok(files)
-}
-
-/// Sets the plant of all vehicles that a controller drives.
-fn set_plant(spec: &mut ScenarioSpec, plant: PlantKind) {
-    for vehicle in spec.vehicles.iter_mut().filter(|vehicle| !matches!(vehicle.driver, Driver::Profile(_))) {
-        vehicle.plant = plant;
-        if plant == PlantKind::PointMass {
-            vehicle.body = None;
-        }
-    }
-}
-
-/// Returns a line with the share of scenarios that have a collision.
-fn describe_collision_share(plant: PlantKind, results: &[RenderedRun]) -> String {
-    let (collided, count) = (results.iter().filter(|result| result.collided).count(), results.len());
-    let interval = RateInterval::clopper_pearson(collided as u64, count as u64, 0.95);
-    let [share, low, high] =
-        [collided as f64 / count as f64, interval.lower, interval.upper].map(|share| 100.0 * share);
-    format!(
-        "{}: {collided} of {count} scenarios have a collision \
-         ({share:.1} %; exact 95 % interval: {low:.1} to {high:.1} %)\n",
-        plant.name()
-    )
 }
 
 /// Renders the three diagrams of a run, in the format of the file's extension.

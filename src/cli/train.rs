@@ -21,7 +21,7 @@ use crumple_learn::rl::{
 use crumple_store::disk;
 use crumple_store::run_folder;
 
-/// Train a driving policy by reinforcement learning
+/// Train a driving policy by reinforcement learning, imitation, or both
 #[derive(Args)]
 #[command(after_long_help = "\
 Presets:
@@ -32,7 +32,9 @@ Presets:
 
 The algorithm is DDPG, or TD3 if a preset says so (Fujimoto, van Hoof and Meger 2018): in `[td3]`, `twin_critic = \
 true` uses the minimum of two critics, `actor_every = 2` updates the actor every second time, and `target_noise = \
-0.2` and `target_noise_limit = 0.5` add noise to target actions. The preset of `crumple retrain` uses TD3. \
+0.2` and `target_noise_limit = 0.5` add noise to target actions. The preset of `crumple retrain` uses TD3. With \
+`[imitation]`, the policy first learns the answers of a built-in controller in the states that it reaches itself \
+(DAgger, Ross et al. 2011). \
 A preset of your own is a file like the built-in ones (schema: crates/learn/src/rl/training.schema.json), with \
 rewards (`[environment]` and `[environment.costs]`), observations (`[environment.observation]`) and spaces \
 (`[[spaces]]`). Policies of other algorithms can be imported (docs/controllers.md).

@@ -17,7 +17,8 @@ use crumple_world::observation::EstimatorKind;
 #[derive(Args)]
 #[command(after_long_help = "\
 The search simulates each candidate in the same random scenarios. It varies the settings in their typical ranges, \
-starts at the defaults, and minimises one number. For --objective both this is the sum of:
+starts at the defaults, or in the middle of a range that excludes them, and minimises one number. For --objective \
+both this is the sum of:
   - the weighted mean of the collision shares in the spaces
   - the shares of drives in `traffic` with a collision, with unnecessary hard braking (above 4 m/s2, of which less \
 than 3 m/s2 had a cause), and in which the vehicle is left behind
@@ -61,8 +62,8 @@ pub(super) struct Tune {
     /// Search method
     #[arg(long, value_enum, value_name = "M", default_value = "cma-es")]
     method: TuningMethod,
-    /// Candidates, the initial settings included: 1 to 10 000
-    #[arg(long, value_name = "N", default_value_t = 400, value_parser = args::whole_number(1..=10_000))]
+    /// Candidates, the initial settings included: 2 to 10 000
+    #[arg(long, value_name = "N", default_value_t = 400, value_parser = args::whole_number(2..=10_000))]
     evaluations: u64,
     /// Random scenarios of each space for each candidate: 1 to 10 000
     #[arg(long, value_name = "N", default_value_t = 200, value_parser = args::whole_number(1..=10_000))]

@@ -13,6 +13,7 @@ mod controller;
 mod drawing;
 mod failure;
 pub mod generator;
+mod metamorphic;
 mod near;
 mod property;
 mod scenarios;
@@ -21,9 +22,9 @@ mod shrink;
 
 pub use check::{ControllerCheck, check};
 pub use controller::{ControllerUnderTest, StatelessController, stateless};
-pub use crumple_search::falsify::MetamorphicRelation;
 pub use crumple_world as world;
 pub use failure::{CheckError, CheckSummary, PropertyFailure};
+pub use metamorphic::MetamorphicRelation;
 pub use property::{Property, PropertyVerdict};
 pub use scenarios::{ScenarioTree, Scenarios, ScenariosError};
 pub use serve::{ServingError, serve};

@@ -117,9 +117,10 @@ mod tests {
             let ahead = seen.ahead.map_or(-1.0, |ahead| ahead.speed_mps);
             ahead + 100.0 * seen.behind.map_or(-1.0, |behind| behind.gap_m)
         });
-        let (mut text, lines) =
-            (Vec::new(), [HELLO.replace('\n', "").as_str()].into_iter().chain(queries.iter().copied()));
-        let lines: String = lines.map(|line| format!("{line}\n")).collect();
+        let hello = HELLO.replace('\n', "");
+        let lines: String =
+            std::iter::once(&*hello).chain(queries.iter().copied()).map(|line| format!("{line}\n")).collect();
+        let mut text = Vec::new();
         serve_lines("mine", &*controller, lines.as_bytes(), &mut text)?;
         Ok(String::from_utf8_lossy(&text).lines().map(str::to_owned).collect())
     }

@@ -65,7 +65,6 @@ def falsify(
     *,
     spec: str = "no contact",
     against: ControllerLike | None = None,
-    metamorphic: str | None = None,
     method: str | SearchMethod = "auto",
     aim: str = "severest",
     budget: int = 2000,
@@ -77,9 +76,7 @@ def falsify(
 ) -> Campaign:
     """Searches a space for scenarios in which a controller fails, as ``crumple falsify`` does.
 
-    With ``against``, another controller, a failure counts only if that controller passes the same scenario. With
-    ``metamorphic`` (``"larger-gap=2"``, ``"more-friction=0.1"``) it counts only if the controller passes the scenario
-    with less of that quantity.
+    With ``against``, another controller, a failure counts only if that controller passes the same scenario.
 
     ``method`` is a name as on the command line, or a :class:`crumple.SearchMethod` of your own.
 
@@ -94,7 +91,6 @@ def falsify(
                 space,
                 spec=spec,
                 against=against,
-                metamorphic=metamorphic,
                 method=method,
                 aim=aim,
                 budget=budget,
@@ -106,12 +102,11 @@ def falsify(
             )
     resolved = as_controller(controller)
     reference = None if against is None else as_controller(against)
-    contrast = (reference, metamorphic)
     summary, text = _falsify(
         resolved,
         find_space(space),
         spec,
-        contrast,
+        reference,
         method,
         aim,
         budget,
@@ -150,7 +145,6 @@ def compare(
     seeds: int = 30,
     spec: str = "no contact",
     against: ControllerLike | None = None,
-    metamorphic: str | None = None,
     budget: int = 2000,
     seed: int = 0,
     estimator: Literal["kalman", "truth"] = "kalman",
@@ -160,6 +154,7 @@ def compare(
 
     Each method runs with each seed up to its first failure, with at most ``budget`` simulations.
     """
-    beside = (None if against is None else as_controller(against), metamorphic)
+    reference = None if against is None else as_controller(against)
     resolved, found = as_controller(controller), find_space(space)
-    return Comparison(*_compare(resolved, found, spec, beside, list(methods), seeds, budget, seed, estimator, progress))
+    compared = _compare(resolved, found, spec, reference, list(methods), seeds, budget, seed, estimator, progress)
+    return Comparison(*compared)

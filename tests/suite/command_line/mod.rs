@@ -12,7 +12,6 @@ mod outputs;
 mod printed_text;
 mod reports;
 mod retrain;
-mod shards;
 mod shell;
 mod train;
 mod tune;

@@ -134,7 +134,7 @@ fn mistakes_are_reported_before_anything_is_written() {
         assert_eq!((exit_code(&output), stdout(&output)), (2, ""));
         stderr(&output).to_owned()
     };
-    assert!(retrain("--policy idm").contains("--policy: `idm` cannot be retrained"));
+    assert!(retrain("--policy idm").contains("`idm` cannot be retrained: use `policy`, `retrained`, `road`, or"));
     assert!(retrain("--policy shield:policy").contains("cannot be retrained"));
     fs::write(folder.path().join("lists.toml"), "version = 1\nname = \"x\"\nepisodes = 1\nenvironment = [1, 2]\n")
         .unwrap();

@@ -53,7 +53,7 @@ fn mistakes_are_reported_before_anything_is_written() {
         ("--controller idm --space paper --space paper", "error: --space paper: occurs twice: give it one weight"),
         ("--controller idm --method halton", "invalid value 'halton' for '--method <M>'"),
         ("--controller idm --objective fast", "invalid value 'fast' for '--objective <O>'"),
-        ("--controller idm --evaluations 0", "must be a whole number from 1 to 10000"),
+        ("--controller idm --evaluations 1", "must be a whole number from 2 to 10000"),
     ];
     for (arguments, expected) in cases {
         let output = run_crumple(folder.path(), &format!("tune {arguments}"));

@@ -45,7 +45,7 @@ const CASES: &[(&str, &str, StartExpectation)] = &[
     ("retrain", "--regression space.toml --out o", Refused("space.toml:")),
     (
         "tune",
-        "--controller idm --space space.toml --evaluations 1 --runs 1 --test-runs 1 --out o",
+        "--controller idm --space space.toml --evaluations 2 --runs 1 --test-runs 1 --out o",
         RefusedOrStarts("space.toml:"),
     ),
     ("falsify", "--controller idm --space space.toml --budget 2 --out o", RefusedOrStarts("space.toml:")),
@@ -63,8 +63,7 @@ const CASES: &[(&str, &str, StartExpectation)] = &[
     ("suite show", "driven.toml", StartsNothing),
     ("suite run", "driven.toml --controller idm", StartsNothing),
     ("suite table", "--help", StartsNothing),
-    ("merge", "rate-shard --out o", StartsNothing),
-    ("fsck", "campaign rate rate-shard", StartsNothing),
+    ("fsck", "campaign rate", StartsNothing),
     ("list", "", StartsNothing),
     ("show", "driven.toml", StartsNothing),
     ("describe", "evil.toml", StartsNothing),

@@ -41,7 +41,7 @@ impl RoundContext<'_> {
         Ok(())
     }
 
-    /// Returns the scenario with worst-case profiles of its leader; none if the leader has no profile.
+    /// Returns the scenario with worst-case profiles of its leader; none if the leader has no profile to vary.
     fn worst_cases(&self, scenario: &Scenario, controller: &ControllerKind) -> Result<Vec<Scenario>, RetrainError> {
         let options = RunOptions::new(controller.clone()).with_estimator(self.plan.estimator());
         let budget = usize::try_from(self.plan.settings.budget).unwrap_or(usize::MAX);
@@ -49,10 +49,11 @@ impl RoundContext<'_> {
         for objective in OBJECTIVES {
             match attack(scenario, &options, objective, Envelope::from_scenario(scenario), budget, &Quiet) {
                 Ok(result) => found.extend(result.attack.map(|attack| attack.scenario)),
-                Err(AttackError::Run(error)) => return Err(error.into()),
-                Err(AttackError::Scenario(error)) => return Err(error.into()),
-                // The leader has no profile of its own, or the scenario is too large.
-                Err(_) => return Ok(Vec::new()),
+                Err(AttackError::LeaderNotScripted | AttackError::EmptyEnvelope { .. }) => return Ok(Vec::new()),
+                Err(error) => {
+                    let scenario = scenario.spec().name.clone();
+                    return Err(RetrainError::Attack { scenario, error: Box::new(error) });
+                }
             }
         }
         Ok(found)

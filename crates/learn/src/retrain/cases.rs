@@ -70,7 +70,10 @@ impl Cases {
         counterexamples: Vec<ScenarioSpec>,
     ) -> Result<Self, RetrainError> {
         self.draws.push(draws);
-        self.counterexamples.extend(counterexamples);
+        // An attack finds a case again that the last round did not fix.
+        let new = counterexamples.into_iter().filter(|found| !self.counterexamples.contains(found));
+        let new: Vec<_> = new.collect();
+        self.counterexamples.extend(new);
         self.scenarios_sha256 = scenarios_sha256(&self.scenarios(space)?)?;
         Ok(self)
     }

@@ -17,7 +17,7 @@ use crumple_world::sim::{
 };
 
 /// Version of corpus files.
-pub const CORPUS_VERSION: u32 = 1;
+pub(super) const CORPUS_VERSION: u32 = 1;
 
 const BATCH_SIZE: u64 = 500;
 /// Minimum share of avoidable scenarios after [`BATCH_SIZE`] scenarios; below it the space is abandoned.

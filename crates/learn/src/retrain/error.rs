@@ -3,6 +3,7 @@
 use crate::rl::TrainingError;
 use crumple_core::observer::Stopped;
 use crumple_search::falsify::campaign::CampaignError;
+use crumple_search::worst_case::AttackError;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
 use crumple_world::policy::PolicyError;
@@ -53,6 +54,14 @@ pub enum RetrainError {
     /// A search failed.
     #[error(transparent)]
     Campaign(#[from] CampaignError),
+    /// A scenario cannot be attacked.
+    #[error("the scenario `{scenario}` cannot be attacked: {error}")]
+    Attack {
+        /// Name of the scenario.
+        scenario: String,
+        /// Reason.
+        error: Box<AttackError>,
+    },
     /// A training failed.
     #[error(transparent)]
     Training(#[from] TrainingError),

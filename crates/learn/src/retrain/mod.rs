@@ -52,9 +52,9 @@ mod training;
 
 pub use acceptance::{Acceptance, FailureChange, RejectionReason, decide_acceptance};
 pub use cases::{Cases, CollidingDraws};
-pub use corpus::{CORPUS_VERSION, Corpus};
+pub use corpus::Corpus;
 pub use error::RetrainError;
-pub use plan::{RETRAIN_VERSION, RetrainingPlan, RetrainingSettings, TRAINING_PRESET_TEXT, training_preset};
+pub use plan::{RetrainingPlan, RetrainingSettings, TRAINING_PRESET_TEXT, training_preset};
 pub use progress::RetrainingProgress;
 pub use regression_results::RegressionResults;
 pub use regression_spaces::{RegressionSpaceResult, SIGNIFICANCE};

@@ -23,7 +23,7 @@ use crumple_world::scenario::space::{ScenarioSpace, SpaceSpec};
 use crumple_world::scenario::{PAPER_STEP_S, Scenario};
 
 /// Version of the file `retrain.toml`.
-pub const RETRAIN_VERSION: u32 = 1;
+pub(super) const RETRAIN_VERSION: u32 = 1;
 
 /// Everything that determines the results of a retraining.
 #[derive(Debug, Clone)]

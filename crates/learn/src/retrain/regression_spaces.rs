@@ -47,7 +47,7 @@ impl RegressionSet {
     pub(super) fn new(plan: &RetrainingPlan) -> Result<Self, RetrainError> {
         let spaces = plan.regression_spaces.iter().map(|space| RegressionSpace::new(plan, space));
         let spaces = spaces.collect::<Result<Vec<_>, _>>()?;
-        let is_checked = !spaces.is_empty() && plan.training.evaluation.usefulness_draws > 0;
+        let is_checked = plan.training.evaluation.usefulness_draws > 0;
         let traffic = || TrafficBenchmark::new(NOMINAL_SEED, plan.settings.nominal, plan.estimator());
         Ok(Self { spaces, traffic: is_checked.then(traffic).transpose()? })
     }
@@ -121,7 +121,9 @@ mod tests {
     use super::super::corpus::Corpus;
     use super::super::plan::{VALIDATION_SET_SEED, training_preset};
     use super::super::test_set::witnesses;
-    use super::super::{Acceptance, RegressionResults, RejectionReason, RetrainingSettings, decide_acceptance};
+    use super::super::{
+        Acceptance, FailureChange, RegressionResults, RejectionReason, RetrainingSettings, decide_acceptance,
+    };
     use super::*;
     use crumple_search::falsify::Method;
     use crumple_world::policy::Policy;
@@ -159,9 +161,15 @@ mod tests {
         let collisions = [&before, &after].map(|results| results.validation_set.len());
         assert!(collisions[1] < collisions[0], "{collisions:?}");
         let without = |standing: &RegressionResults| RegressionResults { regression: Vec::new(), ..standing.clone() };
-        let standing_alone = decide_acceptance(&without(&before), &without(&after));
+        let in_cases = FailureChange::default();
+        let standing_alone = {
+            let [before, after] = [&before, &after].map(without);
+            decide_acceptance(&before, &before, &after, &in_cases)
+        };
         assert_eq!(standing_alone, Acceptance::Accepted);
-        let Acceptance::Rejected { objections } = decide_acceptance(&before, &after) else { panic!("accepted") };
+        let Acceptance::Rejected { objections } = decide_acceptance(&before, &before, &after, &in_cases) else {
+            panic!("accepted")
+        };
         let is_of_high_risk =
             |reason: &_| matches!(reason, RejectionReason::MoreCollisions { space, .. } if space == "high-risk");
         assert!(objections.iter().any(is_of_high_risk), "{objections:?}");

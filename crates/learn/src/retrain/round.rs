@@ -85,6 +85,8 @@ pub(super) struct RoundContext<'a> {
     pub(super) selection_set: &'a Corpus,
     pub(super) regression: &'a RegressionSet,
     pub(super) policy: Arc<Policy>,
+    /// Results of the initial policy.
+    pub(super) initial_results: &'a RegressionResults,
     pub(super) results: RegressionResults,
     pub(super) cases: Cases,
     pub(super) previous_round: Option<&'a Round>,
@@ -143,13 +145,15 @@ impl RoundContext<'_> {
             None => self.results.clone(),
         };
         let is_new = candidate.as_ref().is_some_and(|candidate| candidate.network() != self.policy.network());
+        let collided = |policy: &Arc<Policy>| {
+            colliding_indices(&scenarios, &ControllerKind::Policy(Arc::clone(policy)), self.plan.estimator())
+        };
+        let in_cases =
+            FailureChange::between(&collided(&self.policy)?, &collided(candidate.as_ref().unwrap_or(&self.policy))?);
         let acceptance = match problem {
             Some(problem) => Acceptance::Rejected { objections: vec![RejectionReason::Diverged { problem }] },
             None if !is_new => Acceptance::Rejected { objections: vec![RejectionReason::Unchanged] },
-            None => decide_acceptance(&self.results, &after),
-        };
-        let collided = |policy: &Arc<Policy>| {
-            colliding_indices(&scenarios, &ControllerKind::Policy(Arc::clone(policy)), self.plan.estimator())
+            None => decide_acceptance(self.initial_results, &self.results, &after, &in_cases),
         };
         let round = Round {
             round: self.round_number(),
@@ -158,10 +162,7 @@ impl RoundContext<'_> {
             cases: scenarios.len(),
             training: trained,
             candidate_sha256: candidate.as_ref().map(|candidate| candidate.digest()),
-            in_cases: FailureChange::between(
-                &collided(&self.policy)?,
-                &collided(candidate.as_ref().unwrap_or(&self.policy))?,
-            ),
+            in_cases,
             in_validation_set: FailureChange::between(&self.results.validation_set, &after.validation_set),
             in_paper: FailureChange::between(&self.results.paper, &after.paper),
             in_nominal: FailureChange::between(&self.results.nominal, &after.nominal),

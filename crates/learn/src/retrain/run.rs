@@ -61,6 +61,7 @@ impl RetrainingPlan {
                 selection_set: &selection,
                 regression: &regression,
                 policy: Arc::clone(&policy),
+                initial_results: &first,
                 results: standing.clone(),
                 cases: cases.clone(),
                 previous_round: rounds.last(),

@@ -6,7 +6,7 @@ use serde::{Deserialize, Serialize};
 
 use super::config::{EnvironmentConfig, EvaluationConfig, TrainingConfig};
 use super::trainer::TrainingError;
-use super::usefulness::{TRAINING_LIMITS, TrafficBenchmark, TrafficUsefulness};
+use super::usefulness::{TrafficBenchmark, TrafficUsefulness};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{PaperDistribution, Scenario, built_in_scenario};
@@ -156,7 +156,7 @@ impl EvaluationSet {
                 let useful = traffic.evaluate(&ControllerKind::Policy(Arc::clone(policy)))?;
                 evaluation.usefulness = Some(useful);
                 let contact_share = contacts as f64 / ranked.len() as f64;
-                evaluation.combined_penalty = Some(contact_share + useful.penalty(&TRAINING_LIMITS));
+                evaluation.combined_penalty = Some(contact_share + useful.penalty());
             }
         }
         Ok(evaluation)

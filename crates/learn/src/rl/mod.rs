@@ -55,7 +55,7 @@ pub use source::{CaseMixture, PaperSource, ScenarioSource, SourceMixture, unsuit
 pub use space_mixture::{SpaceMixture, TrainingSpace};
 pub use trainer::{BestPolicy, EpisodeRecord, Trainer, TrainingError};
 pub use usefulness::TrafficUsefulness;
-pub(crate) use usefulness::{TRAINING_LIMITS, TrafficBenchmark, UsefulnessLimits, measure_usefulness};
+pub(crate) use usefulness::{EXCESS_WEIGHT, MAX_RATIO_TO_IDM, TIME_GAP_RANGE_S, TrafficBenchmark, measure_usefulness};
 
 #[cfg(test)]
 mod tests;

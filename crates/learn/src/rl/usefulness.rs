@@ -3,28 +3,26 @@
 use serde::{Deserialize, Serialize};
 
 use crumple_world::control::ControllerSpec;
-use crumple_world::measure::UsefulnessMeasures;
+use crumple_world::measure::{SpeedAmplification, UsefulnessMeasures};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::built_in_space;
-use crumple_world::sim::{ControllerKind, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate_batch};
+use crumple_world::scenario::{SPEED_DIP_ONSET_S, Scenario, speed_dip};
+use crumple_world::sim::{
+    ControllerKind, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate, simulate_batch,
+};
 
 use super::source::EGO;
 
-/// Limits beyond which discomfort and time gaps are penalised.
-#[derive(Debug, Clone, Copy, PartialEq)]
-pub(crate) struct UsefulnessLimits {
-    /// Largest accepted RMS of acceleration and jerk, relative to `idm`.
-    pub(crate) max_ratio_to_idm: f64,
-    /// Range of mean time gaps without a penalty, in seconds.
-    pub(crate) time_gap_range_s: [f64; 2],
-    /// Weight of an excess of comfort or time gap, relative to the share of faulty drives.
-    pub(crate) excess_weight: f64,
-}
+/// Largest RMS of acceleration and jerk without a penalty, relative to `idm`.
+pub(crate) const MAX_RATIO_TO_IDM: f64 = 1.2;
+/// Range of mean time gaps without a penalty, in seconds.
+pub(crate) const TIME_GAP_RANGE_S: [f64; 2] = [1.2, 2.1];
+/// Weight of an excess of comfort or time gap, relative to the share of faulty drives: a tenth more jerk than allowed
+/// weighs as much as 5 % more collisions.
+pub(crate) const EXCESS_WEIGHT: f64 = 0.5;
 
-/// Limits in the evaluation of policies during a training.
-pub(crate) const TRAINING_LIMITS: UsefulnessLimits =
-    UsefulnessLimits { max_ratio_to_idm: 1.25, time_gap_range_s: [1.2, 2.0], excess_weight: 0.05 };
+/// Vehicles under test in the line, and their initial time gap in seconds.
+const LINE: (usize, f64) = (5, 1.5);
 
 /// Result of a controller in random scenarios of everyday traffic.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
@@ -47,24 +45,29 @@ pub struct TrafficUsefulness {
     pub jerk_times_idm: f64,
     /// Mean time gap, in seconds; 0 if the ego vehicle never moved.
     pub mean_time_gap_s: f64,
+    /// Gain of a line of five such vehicles behind a leader that slows down ([`SpeedAmplification::overall`]); none if
+    /// they collide or do not settle before.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub line_gain: Option<f64>,
 }
 
 impl TrafficUsefulness {
-    /// Returns the share of faulty drives, plus a small penalty for discomfort and for an unusual time gap. 0 is best.
-    pub(crate) fn penalty(&self, limits: &UsefulnessLimits) -> f64 {
-        let [closest_s, furthest_s] = limits.time_gap_range_s;
+    /// Returns the share of faulty drives, plus a penalty for discomfort and for an unusual time gap. 0 is best.
+    pub(crate) fn penalty(&self) -> f64 {
+        let [closest_s, furthest_s] = TIME_GAP_RANGE_S;
         let off_s = (closest_s - self.mean_time_gap_s).max(self.mean_time_gap_s - furthest_s).max(0.0);
-        let beyond = |times_idm: f64| (times_idm / limits.max_ratio_to_idm - 1.0).max(0.0);
+        let beyond = |times_idm: f64| (times_idm / MAX_RATIO_TO_IDM - 1.0).max(0.0);
         let excess = beyond(self.acceleration_times_idm) + beyond(self.jerk_times_idm) + off_s;
         (self.contacts + self.hard_braking + self.fell_behind) as f64 / self.scenario_count.max(1) as f64
-            + limits.excess_weight * excess
+            + EXCESS_WEIGHT * excess
     }
 }
 
-/// Random scenarios of everyday traffic, and the result of `idm` in them.
+/// Random scenarios of everyday traffic, the result of `idm` in them, and a line of vehicles.
 #[derive(Debug, Clone)]
 pub(crate) struct TrafficBenchmark {
     draws: Vec<Scenario>,
+    line: Option<Scenario>,
     estimator: EstimatorKind,
     idm_rms: [f64; 2],
 }
@@ -75,7 +78,7 @@ impl TrafficBenchmark {
         let space = built_in_space("traffic");
         let draws =
             space.iter().flat_map(|space| (0..draws).filter_map(|index| space.draw(seed, index).ok())).collect();
-        let mut traffic = Self { draws, estimator, idm_rms: [1.0; 2] };
+        let mut traffic = Self { draws, line: speed_dip(LINE.0, LINE.1).ok(), estimator, idm_rms: [1.0; 2] };
         let idm = traffic.evaluate(&ControllerKind::from(ControllerSpec::Idm(Default::default())))?;
         traffic.idm_rms = [idm.acceleration_times_idm, idm.jerk_times_idm];
         Ok(traffic)
@@ -113,8 +116,15 @@ impl TrafficBenchmark {
             acceleration_times_idm: acceleration / idm_acceleration.max(f64::MIN_POSITIVE),
             jerk_times_idm: jerk / idm_jerk.max(f64::MIN_POSITIVE),
             mean_time_gap_s: time_gap_sum_s / moving_drives.max(1) as f64,
+            line_gain: self.line.as_ref().and_then(|line| line_gain(line, options).transpose()).transpose()?,
         })
     }
+}
+
+fn line_gain(line: &Scenario, options: RunOptions) -> Result<Option<f64>, RunError> {
+    let result = simulate(&Run::new(line, options)?, RecordingLevel::Trace);
+    let trace = result.trace.as_ref().filter(|_| result.outcome.is_safe());
+    Ok(trace.and_then(|trace| SpeedAmplification::from_trace(trace, SPEED_DIP_ONSET_S)).map(|found| found.overall))
 }
 
 /// Measures the usefulness of a run; none without its trace.
@@ -133,8 +143,8 @@ mod tests {
         let idm = traffic.evaluate(&ControllerKind::from(ControllerSpec::Idm(Default::default()))).unwrap();
         assert_eq!((idm.contacts, idm.hard_braking, idm.fell_behind), (0, 0, 0));
         assert_eq!((idm.acceleration_times_idm, idm.jerk_times_idm), (1.0, 1.0));
-        assert!(idm.penalty(&TRAINING_LIMITS) < 0.02, "{idm:?}");
+        assert!(idm.penalty() < 0.02, "{idm:?}");
         let policy = traffic.evaluate(&ControllerKind::Policy(Policy::reference())).unwrap();
-        assert!(policy.penalty(&TRAINING_LIMITS) > 0.3 && policy.fell_behind > 0, "{policy:?}");
+        assert!(policy.penalty() > 0.3 && policy.fell_behind > 0, "{policy:?}");
     }
 }

@@ -30,7 +30,7 @@ mod tests;
 
 pub use error::TuneError;
 pub use objective::{ControllerScore, TuningObjective, TuningSpace};
-pub use plan::{TUNE_VERSION, TuningPlan};
+pub use plan::TuningPlan;
 pub use report::{TunedSetting, TuningFinalist, TuningReport};
 pub use run::TuningProgress;
 pub use settings::{SearchedSetting, SettingRequest, SettingSearch};

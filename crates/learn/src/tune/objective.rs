@@ -3,7 +3,7 @@
 use serde::{Deserialize, Serialize};
 
 use super::TuneError;
-use crate::rl::{TrafficBenchmark, TrafficUsefulness, UsefulnessLimits};
+use crate::rl::{TrafficBenchmark, TrafficUsefulness};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
@@ -23,10 +23,6 @@ pub enum TuningObjective {
     /// The weighted mean of the collision shares in the spaces.
     Safety,
 }
-
-/// Limits of [`TuningObjective::Both`]. A tenth more jerk than allowed weighs as much as 5 % more collisions.
-pub(super) const LIMITS: UsefulnessLimits =
-    UsefulnessLimits { max_ratio_to_idm: 1.2, time_gap_range_s: [1.2, 2.1], excess_weight: 0.5 };
 
 /// A scenario space, and its weight in the objective.
 #[derive(Debug, Clone)]
@@ -91,7 +87,7 @@ impl ScoringSet {
         }
         let traffic = self.traffic.as_ref().map(|traffic| traffic.evaluate(&controller.clone().into())).transpose()?;
         let penalty = match (self.objective, &traffic) {
-            (TuningObjective::Both, Some(found)) => found.penalty(&LIMITS),
+            (TuningObjective::Both, Some(found)) => found.penalty(),
             _ => 0.0,
         };
         Ok(ControllerScore {

@@ -14,7 +14,7 @@ use crumple_world::observation::EstimatorKind;
 use crumple_world::random::derived_seed;
 
 /// Version of the files `tune.toml` and `report.json`.
-pub const TUNE_VERSION: u32 = 1;
+pub(super) const TUNE_VERSION: u32 = 1;
 
 /// Everything that determines the results of a tuning.
 #[derive(Debug, Clone)]

@@ -4,10 +4,10 @@ use std::fmt::Write;
 
 use serde::{Deserialize, Serialize};
 
-use super::objective::{ControllerScore, LIMITS};
+use super::objective::ControllerScore;
 use super::plan::TUNE_VERSION;
 use super::{TuneError, TuningObjective, TuningPlan};
-use crate::rl::TrafficUsefulness;
+use crate::rl::{EXCESS_WEIGHT, MAX_RATIO_TO_IDM, TIME_GAP_RANGE_S, TrafficUsefulness};
 use crumple_core::digest::sha256;
 use crumple_core::quoting::MarkdownText;
 use crumple_evidence::RateInterval;
@@ -164,7 +164,7 @@ impl TuningReport {
     }
 
     fn objective_sentence(&self) -> String {
-        let [closest_s, furthest_s] = LIMITS.time_gap_range_s;
+        let [closest_s, furthest_s] = TIME_GAP_RANGE_S;
         match self.objective {
             TuningObjective::Safety => "The objective is the weighted mean of their collision shares.".to_owned(),
             TuningObjective::Both => format!(
@@ -172,7 +172,7 @@ impl TuningReport {
                  of drives with a collision, with unnecessary hard braking and left behind, and {} times the relative \
                  excess of RMS acceleration and of RMS jerk above {} times those of `idm`, and the distance of the \
                  mean time gap from {closest_s} to {furthest_s} s, in seconds.",
-                LIMITS.excess_weight, LIMITS.max_ratio_to_idm
+                EXCESS_WEIGHT, MAX_RATIO_TO_IDM
             ),
         }
     }

@@ -64,7 +64,7 @@ impl SettingSearch {
     /// # Errors
     /// [`TuneError`] for a controller that is not built in or has no settings, or an invalid setting or range.
     pub fn parse(controller: &str, requests: &[SettingRequest]) -> Result<Self, TuneError> {
-        let initial =
+        let mut initial =
             ControllerSpec::parse(controller).ok_or_else(|| TuneError::NotBuiltIn(controller.to_owned()))??;
         if initial.fields().is_empty() {
             return Err(TuneError::NoSettings(initial.name()));
@@ -98,10 +98,17 @@ impl SettingSearch {
         if searched.is_empty() {
             return Err(TuneError::AllFixed(controller.to_owned()));
         }
+        for setting in &searched {
+            let [low, high] = setting.range;
+            if let Some(value) = initial.get_mut(setting.index).filter(|value| !(low..=high).contains(&**value)) {
+                *value = setting.value(0.5);
+            }
+        }
         Ok(Self { initial, searched })
     }
 
-    /// Returns the controller with the initial settings: the defaults, and those that are fixed.
+    /// Returns the controller with the initial settings: those that are fixed, and the defaults, or the middle of the
+    /// requested range if it excludes the default.
     #[must_use]
     pub fn initial(&self) -> &ControllerSpec {
         &self.initial

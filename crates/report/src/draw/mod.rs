@@ -30,7 +30,6 @@ use maud::{Markup, PreEscaped, html};
 
 pub use animation::{ANIMATION_SCRIPT, ANIMATION_STYLE, draw_animation};
 pub use axis::{Axis, BOTTOM_MARGIN, LEFT_MARGIN};
-pub(crate) use cells::grid_rects;
 pub use cells::{CellStyle, LegendEntry, draw_cells, draw_legend};
 pub use label::{PixelRect, text_width};
 pub use motion::{MotionFigure, PanelArrangement, draw_motion, draw_motion_on_axes, draw_motion_responsive};
@@ -41,7 +40,6 @@ pub(crate) use path::PixelPoint;
 #[cfg(feature = "png")]
 pub use png::DrawError;
 pub use robustness::add_robustness;
-pub(crate) use scale::Ticks;
 pub use scale::{extent, format_number, pad_interval};
 pub use theme::{Ink, SMALL_TEXT_SIZE, STYLE, Stroke};
 pub use vehicle_names::vehicle_names;

@@ -1,6 +1,6 @@
 //! Adaptive cruise control with automatic emergency braking.
 
-use super::baseline::Aeb;
+use super::baseline::{Aeb, FIRING_TTC_S};
 use super::{BuiltIn, Controller, ControllerFailure, Ego};
 use crate::observation::Observation;
 use crate::settings::settings;
@@ -9,7 +9,7 @@ settings! {
     /// Settings of adaptive cruise control with emergency braking.
     AccAebSettings {
         /// Time to collision below which the controller brakes fully, in seconds.
-        ttc_s: 1.4, 0.0..=100.0, 0.0..=4.0;
+        ttc_s: FIRING_TTC_S, 0.0..=100.0, 0.0..=4.0;
         /// Desired time gap in seconds (ISO 15622:2018, 6.2.3: at least 0.8 s in steady state).
         time_headway_s: 0.8, 0.0..=10.0, 0.0..=3.0;
         /// Gap at standstill, in metres.

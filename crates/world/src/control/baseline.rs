@@ -4,11 +4,14 @@ use super::{BuiltIn, Controller, ControllerFailure, Ego};
 use crate::observation::{Neighbour, Observation};
 use crate::settings::settings;
 
+/// Time to collision below which the paper's emergency brake fires, in seconds (algorithm 2).
+pub(super) const FIRING_TTC_S: f64 = 1.4;
+
 settings! {
     /// Settings of the emergency brake of the baseline controllers.
     AebSettings {
         /// Time to collision below which the controller brakes, in seconds (paper, algorithm 2: 1.4).
-        ttc_s: 1.4, 0.0..=100.0, 0.0..=4.0;
+        ttc_s: FIRING_TTC_S, 0.0..=100.0, 0.0..=4.0;
     }
 }
 

@@ -45,7 +45,8 @@ pub use reader::{CampaignReader, MAX_READ_EVALUATIONS};
 pub(in crate::falsify) use resolved_config::ResolvedConfig;
 pub use run::{CAMPAIGN_KIND, CampaignProgress, verify_journal};
 pub use summary::{
-    AvoidabilitySummary, CampaignSummary, CoverageSummary, FailureKindSummary, FailuresByMethod, MethodSummary,
+    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, CoverageSummary, FailureKindSummary, FailuresByMethod,
+    MethodSummary,
 };
 
 use crumple_core::observer::Stopped;
@@ -68,6 +69,8 @@ pub struct EvaluatedPoint {
     pub ln_likelihood: f64,
     /// Distance from the nominal scenario in the unit cube, from 0 to 1: mean distance over the parameters.
     pub distance_from_nominal: f64,
+    /// Harm of the first collision; 0 unless the objective is [`SearchObjective::Harm`].
+    pub harm: f64,
     /// Verdict of the simulation.
     pub verdict: RunVerdict,
 }

@@ -89,6 +89,7 @@ impl Campaign {
         let mut distinct = recorder
             .select_distinct(examiner.examine_all(&findings.failures.examination_candidates(MAX_EXAMINED_KINDS))?);
         examiner.classify_all(&mut distinct);
+        examiner.confirm_all(&mut distinct);
         self.ensure_all_trusted()?;
         let counterexamples = recorder.record_all(&distinct, &mut results)?;
         let summary = CampaignSummary::from_findings(&terms, findings, counterexamples)?;

@@ -1,12 +1,12 @@
 //! The follower: what drives it, and whether its emergency brake has fired.
 
-use super::jitter::{BANDWIDTH_RAD_PER_S, Jitter};
+use super::jitter::Jitter;
+use crate::control::baseline::FIRING_TTC_S;
 use crate::control::{AccAeb, AccAebSettings, BuiltIn, Controller, Ego};
+use crate::estimate::BANDWIDTH_RAD_PER_S;
 use crate::idm::{Idm, IdmSettings};
 use crate::observation::{Neighbour, Observation};
 
-/// Time to collision at which an emergency brake fires, in seconds (the paper's baseline).
-pub(super) const FIRING_TTC_S: f64 = 1.4;
 /// Estimated time to collision below which the emergency brake has certainly fired, in seconds: lower than
 /// [`FIRING_TTC_S`] by the errors of the estimate.
 const FIRED_TTC_S: f64 = 1.2;
@@ -34,7 +34,9 @@ const HYPOTHESES: usize = 3;
 /// the last [`MEMORY_S`]: w' = a_i - w / [`MEMORY_S`]. The observed change is the difference between the speed and its
 /// average over that time. Per [`CORRELATION_S`] the log-likelihood changes by -(error)²/(2 σ²), and it decays with
 /// time constant [`MEMORY_S`]. σ includes the noise of the estimated speed, which is that of the acceleration divided
-/// by the bandwidth of the filter. Speeds discriminate better than accelerations, whose noise is larger.
+/// by the bandwidth of the filter. Speeds discriminate better than accelerations, whose noise is larger. When the
+/// emergency brake is released, the evidence from before it fired still counts: to discard it fixed none of the
+/// collisions in 4000 random scenarios each of five spaces, and caused more hard braking.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) struct Follower {
     step_s: f64,

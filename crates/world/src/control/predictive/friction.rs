@@ -47,21 +47,20 @@ impl Friction {
         }
     }
 
-    /// Records the command of this step.
+    /// Records the command of this step, which is within the limits of the vehicle.
     pub(super) fn record(&mut self, command_mps2: f64) {
         self.commands_mps2 = [self.commands_mps2[1], command_mps2];
     }
 
     /// Replaces the command of this step by the one that was executed.
     pub(super) fn replace_last(&mut self, command_mps2: f64) {
-        self.commands_mps2[1] = command_mps2;
+        self.commands_mps2[1] = clamp_command(command_mps2, self.max_brake_mps2, self.max_accel_mps2);
     }
 
     /// Returns the largest deceleration that the road allows, in m/s². A shortfall beyond the noise lowers it to the
     /// deceleration achieved; a harder deceleration raises it again.
     pub(super) fn usable_brake_mps2(&mut self, seen: &Observation) -> f64 {
-        let [before_mps2, last_mps2] =
-            self.commands_mps2.map(|command| clamp_command(command, self.max_brake_mps2, self.max_accel_mps2));
+        let [before_mps2, last_mps2] = self.commands_mps2;
         self.jitter.observe(seen.acceleration_mps2, last_mps2 - before_mps2);
         let (wanted_mps2, actual_mps2) = (-last_mps2, -seen.acceleration_mps2);
         let share = (self.step_s / AVERAGING_S).min(1.0);

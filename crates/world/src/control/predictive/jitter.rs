@@ -1,7 +1,7 @@
 //! Noise of an estimated acceleration, from its changes between steps.
 
-/// Bandwidth of the Kalman filter behind an observation, in rad/s: [`crate::estimate::BANDWIDTH_RAD_PER_S`].
-pub(super) const BANDWIDTH_RAD_PER_S: f64 = 5.0;
+use crate::estimate::BANDWIDTH_RAD_PER_S;
+
 /// Time over which changes are averaged, in seconds.
 const AVERAGING_S: f64 = 1.0;
 /// Initial variance of the changes, in (m/s²)²: the one that gap noise of 0.1 m causes.

@@ -19,6 +19,7 @@ mod leader;
 use self::follower::Follower;
 use self::friction::Friction;
 use self::leader::Leader;
+use super::baseline::FIRING_TTC_S;
 use super::{BuiltIn, Controller, ControllerFailure, Ego, clamp_command};
 use crate::idm::{Idm, IdmSettings};
 use crate::observation::{Neighbour, Observation};
@@ -199,7 +200,7 @@ impl State {
         let all = &self.settings;
         let closing_mps = behind.speed_mps - outlook.own_mps;
         let max_closing_mps = all.wake_closing_mps * outlook.friction.sqrt();
-        if closing_mps >= max_closing_mps || behind.gap_m <= follower::FIRING_TTC_S * closing_mps {
+        if closing_mps >= max_closing_mps || behind.gap_m <= FIRING_TTC_S * closing_mps {
             return follow_mps2.max(0.0);
         }
         let brake_mps2 = all.wake_brake_mps2.min(outlook.own_brake_mps2);
@@ -267,7 +268,7 @@ fn stopping_distance_m(speed_mps: f64, brake_mps2: f64) -> f64 {
 /// vehicle brakes until it is `max_closing_mps` slower and then holds its speed.
 fn waking_time_s(gap_m: f64, closing_mps: f64, brake_mps2: f64, max_closing_mps: f64) -> f64 {
     // g - Δv t - b t²/2 = θ (Δv + b t).
-    let ttc_s = follower::FIRING_TTC_S;
+    let ttc_s = FIRING_TTC_S;
     let (rate_mps, missing_m) = (closing_mps + ttc_s * brake_mps2, gap_m - ttc_s * closing_mps);
     let waking_s = ((rate_mps * rate_mps + 2.0 * brake_mps2 * missing_m).max(0.0).sqrt() - rate_mps) / brake_mps2;
     if closing_mps + brake_mps2 * waking_s <= max_closing_mps {

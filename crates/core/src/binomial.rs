@@ -10,12 +10,14 @@ use libm::{exp, log, log1p};
 const ROUNDING_MARGIN: f64 = 1e-12;
 
 /// Returns the rate at which P(X <= `failures`) is `tail`, rounded up; 1 if there is none.
-pub(super) fn clopper_pearson_upper(failures: u64, runs: u64, tail: f64) -> f64 {
+#[must_use]
+pub fn clopper_pearson_upper(failures: u64, runs: u64, tail: f64) -> f64 {
     solve_log_odds(failures, runs, tail).map_or(1.0, |odds| 1.0 / (1.0 + exp(-(odds + ROUNDING_MARGIN))))
 }
 
 /// Returns the rate at which P(X >= `failures`) is `tail`, rounded down; 0 if there is none.
-pub(super) fn clopper_pearson_lower(failures: u64, runs: u64, tail: f64) -> f64 {
+#[must_use]
+pub fn clopper_pearson_lower(failures: u64, runs: u64, tail: f64) -> f64 {
     // By symmetry: the upper end for successes.
     let odds = solve_log_odds(runs.saturating_sub(failures), runs, tail);
     odds.map_or(0.0, |odds| 1.0 / (1.0 + exp(odds + ROUNDING_MARGIN)))

@@ -1,11 +1,11 @@
 //! Exact confidence intervals of a failure rate.
 
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 
 use super::binomial;
 
 /// A two-sided confidence interval of a rate.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct RateInterval {
     /// Lower end.
     pub lower: f64,
