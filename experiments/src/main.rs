@@ -30,7 +30,7 @@ struct Experiment {
     run: fn(&[String]) -> Result<(), ExperimentError>,
 }
 
-const EXPERIMENTS: [Experiment; 7] = [
+const EXPERIMENTS: [Experiment; 8] = [
     Experiment {
         name: "both_sides",
         arguments: "RUNS CONTROLLER... [FIGURE.svg] [MEASURED.csv] [space=SPACE]... [seed=N] [estimator=truth] \
