@@ -109,11 +109,41 @@ mod tests {
             let inputs = |t_s| [MAX_THROTTLE * level(pieces[0], t_s), MAX_BRAKE * level(pieces[1], t_s)];
             assert!(robustness_with(name, inputs) < 0.0, "{name}");
         }
-        // The description of this model in STGEM states the largest speed and engine speed at full throttle.
+        // `problems/arch-comp-2021/at/README.md` in STGEM (github.com/mshaheryarmalik/stgem) states the largest speed and
+        // engine speed at full throttle.
         let full = |_| [MAX_THROTTLE, 0.0];
         for (name, expected) in [("AT1", 120.0 - 120.213_271_492_615), ("AT2", 4750.0 - 4768.277_187_862_124)] {
             let found = robustness_with(name, full);
             assert!((found - expected).abs() < 1e-9, "{name}: {found}");
         }
+    }
+    /// Counts the inputs of zlscheck that falsify this model. `ZLSCHECK` is the folder `bench_results` of
+    /// <https://github.com/ismailbennani/zlscheck_arch20_counterexamples>. Each row has time, throttle, brake and outputs.
+    #[test]
+    #[ignore = "needs the results of zlscheck"]
+    fn most_inputs_of_zlscheck_falsify() {
+        let root = std::path::PathBuf::from(std::env::var("ZLSCHECK").expect("set ZLSCHECK"));
+        let entries = |path: &std::path::Path| std::fs::read_dir(path).unwrap().map(|entry| entry.unwrap().path());
+        let (mut count, mut confirmed) = (0, 0);
+        for folder in ["at_inst1", "at_inst2"].iter().flat_map(|instance| entries(&root.join(instance))) {
+            let name = folder.to_str().unwrap().split('_').find(|part| part.starts_with("AT")).unwrap().to_owned();
+            for file in entries(&folder).filter(|file| file.extension().is_some_and(|extension| extension == "csv")) {
+                let text = std::fs::read_to_string(&file).unwrap();
+                let number = |field: &str| field.parse::<f64>().unwrap();
+                let row = |line: &str| line.split(',').skip(1).take(2).map(number).collect::<Vec<_>>();
+                let rows: Vec<Vec<f64>> = text.lines().map(row).collect();
+                let value = robustness_with(&name, |t_s| {
+                    let row = &rows[((t_s / STEP_S).round() as usize).min(rows.len() - 1)];
+                    [row[0], row[1]]
+                });
+                count += 1;
+                confirmed += usize::from(value < 0.0);
+                if value >= 0.0 {
+                    println!("{name}: {value}");
+                }
+            }
+        }
+        println!("{confirmed} of {count}");
+        assert!(count > 0 && 100 * confirmed >= 98 * count);
     }
 }
