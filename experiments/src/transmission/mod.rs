@@ -109,7 +109,7 @@ mod tests {
             let inputs = |t_s| [MAX_THROTTLE * level(pieces[0], t_s), MAX_BRAKE * level(pieces[1], t_s)];
             assert!(robustness_with(name, inputs) < 0.0, "{name}");
         }
-        // `problems/arch-comp-2021/at/README.md` in STGEM (github.com/mshaheryarmalik/stgem) states the largest speed and
+        // problems/arch-comp-2021/at/README.md of github.com/mshaheryarmalik/stgem states the largest speed and
         // engine speed at full throttle.
         let full = |_| [MAX_THROTTLE, 0.0];
         for (name, expected) in [("AT1", 120.0 - 120.213_271_492_615), ("AT2", 4750.0 - 4768.277_187_862_124)] {
@@ -117,8 +117,9 @@ mod tests {
             assert!((found - expected).abs() < 1e-9, "{name}: {found}");
         }
     }
+
     /// Counts the inputs of zlscheck that falsify this model. `ZLSCHECK` is the folder `bench_results` of
-    /// <https://github.com/ismailbennani/zlscheck_arch20_counterexamples>. Each row has time, throttle, brake and outputs.
+    /// <https://github.com/ismailbennani/zlscheck_arch20_counterexamples>; rows have time, throttle, brake, outputs.
     #[test]
     #[ignore = "needs the results of zlscheck"]
     fn most_inputs_of_zlscheck_falsify() {
