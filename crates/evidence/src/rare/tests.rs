@@ -12,10 +12,13 @@ use super::*;
 use crate::fixtures::{count_all, rare_plan};
 use crate::{RateConfig, RatePlan};
 use crumple_core::observer::{ProgressCounter, Quiet, Stopped};
+use crumple_world::control::ControllerSpec;
 use crumple_world::estimate::{Filter, Sensor, Tuning};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::random::{NoiseShare, Purpose, Stream};
 use crumple_world::scenario::Sensors;
+use crumple_world::scenario::space::built_in_space;
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 
 struct ClosedFormLimitState {
     dimension: usize,
@@ -180,6 +183,24 @@ fn known_probabilities_below_a_millionth_are_found() {
 #[ignore = "takes minutes"]
 fn intervals_contain_known_probabilities() {
     known_problems().iter().for_each(|problem| assert_close(problem, (2.0, 0.1, 90), (100, 600_000)));
+}
+
+/// One share of weight 1 is the noise of its seed.
+#[test]
+fn both_engines_agree_on_shares_of_noise() {
+    let space = built_in_space("paper").unwrap();
+    let scenario = space.scenario_at_with_seed(&space.quantile(&vec![0.5; space.dimension()]), 1).unwrap();
+    let with = |weights: &[f64]| {
+        let shares = (1..).zip(weights).map(|(seed, &weight)| NoiseShare { seed, weight });
+        scenario.clone().with_noise_shares(&shares.collect::<Vec<_>>())
+    };
+    let options = RunOptions::new(ControllerSpec::from_name("idm").unwrap());
+    let run = |scenario| Run::new(&scenario, options.clone()).unwrap();
+    let runs = [scenario.clone(), with(&[1.0]), with(&[0.8, 0.6])].map(run);
+    let results = simulate_batch(&runs, RecordingLevel::Trace, |_, result| result);
+    assert_eq!(results, runs.each_ref().map(|run| simulate(run, RecordingLevel::Trace)));
+    assert_eq!(results[0], results[1]);
+    assert_ne!(results[0], results[2]);
 }
 
 #[test]
