@@ -20,9 +20,9 @@ EXAMPLES = pathlib.Path(__file__).resolve().parent.parent / "examples" / "contro
 METHODS = "auto", "cma-es", "cross-entropy", "uniform", "halton"
 PROBLEMS = (
     ("FMU", "fmu.toml", "assisted"),
-    ("FMU, queue", "fmu.toml", "standing"),
+    ("FMU", "fmu.toml", "standing"),
     ("process in C", "c.toml", "slower"),
-    ("process in C, traffic", "c.toml", "traffic"),
+    ("process in C", "c.toml", "traffic"),
     ("process in Python", "python.toml", "high-risk"),
 )
 BUDGET = 200
