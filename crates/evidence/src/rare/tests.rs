@@ -163,17 +163,24 @@ fn known_problems() -> [(&'static str, ClosedFormLimitState, f64); 6] {
     ]
 }
 
-/// Each estimate is within a factor of two, nearly all intervals contain the truth, and the mean over the seeds has an
-/// error below a tenth.
+/// Each estimate is within a factor of two, nearly all intervals contain the truth, and the mean over the seeds has a
+/// small error. Problems of tier 2 have a filter, which takes longer, or more seeds.
 #[test]
-fn known_probabilities_below_a_millionth_are_found() {
-    for (index, problem) in known_problems().into_iter().enumerate() {
-        assert!(problem.2 < 1e-6);
-        // The filter takes longer.
-        if index < 4 {
-            assert_close(&problem, (2.0, 0.1, 20), (24, 600_000));
-        } else {
-            assert_close(&problem, (2.0, 0.3, 3), (4, 600_000));
+fn small_probabilities_are_found() {
+    known_problems().iter().take(2).for_each(|problem| assert_close(problem, (2.0, 0.3, 6), (8, 600_000)));
+}
+
+mod tier_2 {
+    use super::*;
+
+    #[test]
+    #[ignore = "tier 2: takes a minute"]
+    fn known_probabilities_below_a_millionth_are_found() {
+        for (index, problem) in known_problems().into_iter().enumerate() {
+            assert!(problem.2 < 1e-6);
+            let (limits, effort) =
+                if index < 4 { ((2.0, 0.1, 20), (24, 600_000)) } else { ((2.0, 0.3, 3), (4, 600_000)) };
+            assert_close(&problem, limits, effort);
         }
     }
 }
