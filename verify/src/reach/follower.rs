@@ -133,7 +133,7 @@ impl fmt::Display for FollowerLaw {
 impl FollowerLaw {
     /// # Errors
     /// [`Rejection`] if a parameter is negative or infinite, or a divisor is 0.
-    pub(super) fn validate(self) -> Result<Self, Rejection> {
+    pub(crate) fn validate(self) -> Result<Self, Rejection> {
         let (numbers, divisors): (Vec<f64>, Vec<f64>) = match self {
             Self::Idm(law) => (
                 vec![law.time_headway_s, law.standstill_gap_m, law.max_accel_mps2],
@@ -158,6 +158,21 @@ impl FollowerLaw {
             Ok(self)
         } else {
             Err(Rejection::invalid("follower_law", "holds a number that is negative, infinite, or 0 where it divides"))
+        }
+    }
+
+    /// Returns the commands for observed gaps, own and leader's speeds, before clipping to `limits`, whose lower end is
+    /// the command of the emergency brake. `set_speed` are the speeds u of `acc-aeb`.
+    pub(crate) fn command_range(
+        &self,
+        [gap, own, leader]: [Interval; 3],
+        set_speed: Interval,
+        limits: Interval,
+    ) -> Interval {
+        let closing = own - leader;
+        match self {
+            Self::Idm(law) => law.desired_acceleration_interval(gap, own, closing),
+            Self::AccAeb(law) => law.command_interval(gap, own, closing, set_speed, limits.low()),
         }
     }
 
@@ -249,8 +264,9 @@ impl IdmLaw {
     /// Returns the acceleration of a vehicle that brakes at up to `brake`: the narrower of form and interval.
     fn acceleration(&self, sight: &LawInput, brake: &AffineForm) -> AffineForm {
         let acceleration = clamp_to_limits(&self.desired_acceleration(sight, brake), brake, self.max_accel_mps2);
-        let plain =
-            self.desired_acceleration_interval(sight).max(-brake.range()).min(Interval::point(self.max_accel_mps2));
+        let speed = sight.speed.range().max(Interval::ZERO);
+        let plain = self.desired_acceleration_interval(sight.gap.range(), speed, sight.closing.range());
+        let plain = plain.max(-brake.range()).min(Interval::point(self.max_accel_mps2));
         // For a gap near zero a line is wider than an interval.
         let is_wider = 2.0 * acceleration.radius() > plain.high() - plain.low();
         if is_wider { AffineForm::constant(plain) } else { acceleration }
@@ -275,10 +291,10 @@ impl IdmLaw {
     }
 
     /// Returns the desired acceleration in interval arithmetic, without correlations.
-    fn desired_acceleration_interval(&self, LawInput { gap, speed, closing }: &LawInput) -> Interval {
+    fn desired_acceleration_interval(&self, gap: Interval, speed: Interval, closing: Interval) -> Interval {
         let point = Interval::point;
-        let (speed, gap) = (speed.range().max(Interval::ZERO), gap.range().max(point(MIN_GAP_M)));
-        let wants = speed * point(self.time_headway_s) + speed * closing.range() * self.inverse_twice_geometric_mean();
+        let wants = speed * point(self.time_headway_s) + speed * closing * self.inverse_twice_geometric_mean();
+        let gap = gap.max(point(MIN_GAP_M));
         let share = (point(self.standstill_gap_m) + wants.max(Interval::ZERO)).over(gap);
         let fourth = speed.over(point(self.desired_speed_mps)).sqr().sqr();
         point(self.accel_mps2) * (Interval::ONE - fourth - share.sqr())
@@ -295,6 +311,28 @@ impl AccAebLaw {
         let mut guard = gap.clone();
         guard.add_scaled(closing, -Interval::point(self.ttc_s));
         guard
+    }
+
+    /// Returns the command in interval arithmetic; `emergency` is that of the emergency brake.
+    fn command_interval(
+        &self,
+        gap: Interval,
+        speed: Interval,
+        closing: Interval,
+        set_speed: Interval,
+        emergency: f64,
+    ) -> Interval {
+        let point = Interval::point;
+        let (emergency, guard) = (point(emergency), gap - point(self.ttc_s) * closing);
+        if guard.high() < 0.0 {
+            return emergency;
+        }
+        let gain = point(self.speed_gain_per_s);
+        let spacing = gap - point(self.standstill_gap_m) - point(self.time_headway_s) * speed;
+        let follow = point(self.gap_gain_per_s2) * spacing - gain * closing;
+        let command = (gain * (set_speed - speed)).min(follow);
+        let command = command.max(point(-self.comfort_brake_mps2)).min(point(self.comfort_accel_mps2));
+        if guard.low() >= 0.0 { command } else { command.hull(emergency) }
     }
 
     /// Returns the command without the emergency brake.
