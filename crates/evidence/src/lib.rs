@@ -14,6 +14,7 @@ pub mod fit;
 mod fixtures;
 mod initial_set;
 mod interval;
+mod invariant;
 mod kernel;
 mod paired;
 mod planning;
@@ -31,6 +32,7 @@ pub use binding::{BindingError, ScenarioMismatch, check_binding, check_covers_sc
 pub use block::CountedBlock;
 pub use certificate_report::{CertificateReport, CountsStatus, report_json, report_text};
 pub use interval::RateInterval;
+pub use invariant::{Defeat, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet, InvariantSpec};
 pub use kernel::{kernel_certificate, shipped_kernels};
 pub use paired::DiscordantPairs;
 pub use planning::{SampleSizeError, required_runs};
