@@ -26,6 +26,7 @@ mod forgery;
 mod formulas;
 mod generate;
 mod hostile_names;
+mod invariant;
 mod lanes;
 mod measures;
 mod networks;
