@@ -12,9 +12,7 @@ use super::output;
 use super::reach::write_certificate;
 use super::simulate::OutputFormat;
 use super::{CliError, args, progress};
-use crumple_evidence::{
-    Defeat, InvalidBox, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSpec,
-};
+use crumple_evidence::{Defeat, InvalidBox, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSpec};
 use crumple_world::sim::NamedController;
 
 /// Prove from which states a controller never collides with the leader, for any duration
@@ -125,8 +123,7 @@ impl InvariantCommand {
             other => CliError::input(other),
         };
         let plan = InvariantPlan::new(self.controller.kind.clone(), &scenario, spec).map_err(failed)?;
-        let options =
-            InvariantOptions { cells: self.cells, splits: self.splits, smallest_gap_m: self.smallest_gap };
+        let options = InvariantOptions { cells: self.cells, splits: self.splits, smallest_gap_m: self.smallest_gap };
         let bar = progress::depth_line("raising", 1, quiet);
         let observer = Listener(|now: &InvariantProgress| {
             let InvariantProgress { own_mps, pass, failed } = now;

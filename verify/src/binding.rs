@@ -48,9 +48,8 @@ pub(crate) fn check(certificate: &Certificate) -> Result<(), Rejection> {
             if provenance.box_text.is_none() {
                 return Err(Rejection::invalid("provenance.box_text", "is missing"));
             }
-            let check = |of: &NetworkReference| {
-                check_policy_file_name(&of.policy_file, &of.policy_sha256, of.source.is_some())
-            };
+            let check =
+                |of: &NetworkReference| check_policy_file_name(&of.policy_file, &of.policy_sha256, of.source.is_some());
             claim.network().map_or(Ok(()), check)
         }
         Statement::Rate(claim) => {

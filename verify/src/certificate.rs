@@ -123,7 +123,9 @@ impl std::fmt::Display for Assumption {
             Self::NetworkAsRead => {
                 "the network is the one of its source file, as crumple read it, with the mapping stated"
             }
-            Self::SpeedsWithin => "the speeds of both vehicles and the leader's acceleration stay within the stated limits",
+            Self::SpeedsWithin => {
+                "the speeds of both vehicles and the leader's acceleration stay within the stated limits"
+            }
             Self::RegisteredDraws => "runs are independent samples, registered before the first run",
             Self::NoiseOfSeed => "noise is that of the scenario's seed",
         })

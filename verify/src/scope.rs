@@ -245,7 +245,9 @@ fn reach_scope(claim: &ReachClaim) -> Scope {
 fn invariant_scope(claim: &InvariantClaim) -> Scope {
     let [own, leader, _] = claim.axes;
     let driver = match &claim.controller {
-        InvariantController::Law(law) => format!("{law}, with a set speed of at most {} m/s", claim.initial_own_mps_at_most),
+        InvariantController::Law(law) => {
+            format!("{law}, with a set speed of at most {} m/s", claim.initial_own_mps_at_most)
+        }
         InvariantController::Network(network) => {
             format!("driven by the {}", describe_network(&network.policy_sha256, network.source.as_ref()))
         }

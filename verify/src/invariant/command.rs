@@ -50,7 +50,10 @@ impl CommandModel<'_> {
         if network.inputs.iter().all(is_relative) {
             Ok(())
         } else {
-            Err(Rejection::invalid("motion", "is relative, and the network has other inputs than gap and relative speed"))
+            Err(Rejection::invalid(
+                "motion",
+                "is relative, and the network has other inputs than gap and relative speed",
+            ))
         }
     }
 
@@ -66,7 +69,8 @@ impl CommandModel<'_> {
             Self::Network(network, [own_mps2, leader_mps2]) => {
                 let mut forms: [AffineForm; OBSERVATION_SIZE] = Default::default();
                 let known = [(GAP, seen.gap), (LEADER, seen.leader), (OWN, seen.own)];
-                let known = known.into_iter().chain([(LEADER_ACCELERATION, *leader_mps2), (OWN_ACCELERATION, *own_mps2)]);
+                let known =
+                    known.into_iter().chain([(LEADER_ACCELERATION, *leader_mps2), (OWN_ACCELERATION, *own_mps2)]);
                 for (symbol, (place, range)) in known.enumerate() {
                     forms[place] = AffineForm::symbol(symbol, range);
                 }

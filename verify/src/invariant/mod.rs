@@ -79,7 +79,7 @@ pub struct InvariantClaim {
     pub response_per_step: f64,
     /// Hardest braking, negative, and largest acceleration of the vehicle under test, in m/s².
     pub own_mps2: [f64; 2],
-    /// The same of the leader.
+    /// Hardest braking, negative, and largest acceleration of the leader, in m/s².
     pub leader_mps2: [f64; 2],
     /// Largest errors of the observed gap in metres, and of the observed own and leader's speed in m/s.
     pub observation_error: [f64; 3],
@@ -193,7 +193,8 @@ impl InvariantClaim {
         let command = match &self.controller {
             InvariantController::Law(law) => {
                 law.validate()?;
-                let fastest = Interval::point(self.initial_own_mps_at_most) + Interval::point(self.observation_error[1]);
+                let fastest =
+                    Interval::point(self.initial_own_mps_at_most) + Interval::point(self.observation_error[1]);
                 CommandModel::Law(law, fastest.hull(Interval::ZERO))
             }
             InvariantController::Network(network) => {
@@ -293,11 +294,7 @@ impl InvariantClaim {
     }
 }
 
-pub(crate) fn check(
-    claim: &InvariantClaim,
-    policy: Option<&[u8]>,
-    work: &OpBudget,
-) -> Result<ProvedClaim, Rejection> {
+pub(crate) fn check(claim: &InvariantClaim, policy: Option<&[u8]>, work: &OpBudget) -> Result<ProvedClaim, Rejection> {
     let closed_loop = claim.closed_loop(policy, work)?;
     let table = HeightTable::from_runs(claim.axes, &claim.heights)?;
     claim.check_axes(&table)?;
@@ -314,10 +311,9 @@ pub(crate) fn check(
     }
     let share = claim.share(&table)?;
     let own_speed_is_kept = closed_loop.keeps_own_speed(&table, FARTHEST_GAP_M);
-    for (field, stated, proved) in [
-        ("share_at_least", claim.share_at_least, share),
-        ("min_gap_m_at_least", claim.min_gap_m_at_least, min_gap_m),
-    ] {
+    for (field, stated, proved) in
+        [("share_at_least", claim.share_at_least, share), ("min_gap_m_at_least", claim.min_gap_m_at_least, min_gap_m)]
+    {
         if !(stated <= proved) {
             return Err(Rejection::invalid(field, "exceeds the proved value"));
         }

@@ -98,10 +98,7 @@ impl ClosedLoop<'_> {
         let mut parts = vec![part.clone()];
         for axis in 0..=AXIS_COUNT {
             let range = |part: &Part| part.ranges.get(axis).copied().unwrap_or(part.above_m);
-            parts = parts
-                .iter()
-                .flat_map(|part| halves(range(part)).map(|half| part.with_range(axis, half)))
-                .collect();
+            parts = parts.iter().flat_map(|part| halves(range(part)).map(|half| part.with_range(axis, half))).collect();
         }
         parts.iter().try_for_each(|part| self.check_part(table, cell, part, splits - 1))
     }
@@ -141,8 +138,7 @@ impl ClosedLoop<'_> {
             change: [0.0; AXIS_COUNT],
         };
         let simplices = (count * table.orders().len()) as u64;
-        if count > MAX_TOUCHED_CELLS
-            || !self.budget.charge(simplices * INTERVAL_OPS_PER_SIMPLEX * OPS_PER_INTERVAL_OP)
+        if count > MAX_TOUCHED_CELLS || !self.budget.charge(simplices * INTERVAL_OPS_PER_SIMPLEX * OPS_PER_INTERVAL_OP)
         {
             return Some(Shortfall { missing_m: f64::INFINITY, ..worst });
         }

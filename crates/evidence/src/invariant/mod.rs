@@ -138,7 +138,10 @@ impl InvariantSpec {
         let (controller, decision_steps) = match (&self.controller, policy) {
             (Some(Driver::Controller(spec)), None) => {
                 let law = control_law(spec, ego.max_accel_mps2()).ok_or_else(|| {
-                    InvalidBox::Controller(format!("must be idm, acc-aeb, a policy or a network, found {}", spec.name()))
+                    InvalidBox::Controller(format!(
+                        "must be idm, acc-aeb, a policy or a network, found {}",
+                        spec.name()
+                    ))
                 })?;
                 (InvariantController::Law(law), 1)
             }
@@ -294,14 +297,7 @@ fn map_rejection(rejection: Rejection) -> InvalidBox {
 pub(super) fn has_frame(claim: &InvariantClaim, frame: InvariantClaim) -> bool {
     let InvariantClaim { initial_own_mps_at_most, axes, splits, share_at_least, min_gap_m_at_least, .. } = *claim;
     let heights = claim.heights.clone();
-    let set = InvariantClaim {
-        initial_own_mps_at_most,
-        axes,
-        splits,
-        heights,
-        share_at_least,
-        min_gap_m_at_least,
-        ..frame
-    };
+    let set =
+        InvariantClaim { initial_own_mps_at_most, axes, splits, heights, share_at_least, min_gap_m_at_least, ..frame };
     set == *claim
 }

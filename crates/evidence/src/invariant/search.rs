@@ -74,7 +74,14 @@ fn raise(
         })
     };
     let coordinate = |position: usize| if position == 0 { -along(0) } else { along(position - 1) - along(position) };
-    let upstream = (0..nodes.len()).min_by(|&a, &b| coordinate(a).total_cmp(&coordinate(b))).unwrap_or(0);
+    // The leader moves either way: if the own motion alone fails, only a node from which this motion leads away helps.
+    let leader_rise_m = order.iter().position(|&axis| axis == 1).map_or(0.0, |position| {
+        (table.node_height(nodes[position + 1]) - table.node_height(nodes[position])) * along(position)
+    });
+    let own_fails = shortfall.missing_m > leader_rise_m;
+    let is_behind = |position: usize| (nodes[position][0] > shortfall.cell[0]) == (shortfall.change[0] < 0.0);
+    let choices = (0..nodes.len()).filter(|&position| !own_fails || is_behind(position));
+    let upstream = choices.min_by(|&a, &b| coordinate(a).total_cmp(&coordinate(b))).unwrap_or(0);
     let gain = -coordinate(upstream);
     let rise_m = (shortfall.missing_m / gain).clamp(HEIGHT_UNIT_M, MAX_RISE_M);
     let raised = if gain > 1e-9 { vec![nodes[upstream]] } else { table.simplex(cell, &order) };
