@@ -165,8 +165,8 @@ fn defeat_line(defeat: Option<&Defeat>) -> String {
     match defeat {
         None => "outside the set: no simulated leader defeats the controller\n".to_owned(),
         Some(Defeat { gap_m, own_mps, leader_mps, leader_accelerates_s }) => format!(
-            "outside the set: from {own_mps:.2} m/s, {gap_m:.2} m behind a leader at {leader_mps:.2} m/s, a leader that \
-             accelerates for {leader_accelerates_s} s and then brakes causes a collision in the simulation\n"
+            "outside the set: from {own_mps:.2} m/s, {gap_m:.2} m behind a leader at {leader_mps:.2} m/s, a leader \
+             that accelerates for {leader_accelerates_s} s and then brakes causes a collision in the simulation\n"
         ),
     }
 }

@@ -1,8 +1,8 @@
 //! Invariant sets: states from which a controller never collides with the leader, for any duration.
 //!
 //! # Model
-//! A vehicle under test at own speed v follows a leader at speed w with a gap g. Every T seconds the controller commands
-//! an acceleration from observations within stated errors of (g, v, w). An actuator lag is a further state. The leader
+//! A vehicle under test at own speed v follows a leader at speed w with a gap g. Every T seconds the controller
+//! commands an acceleration from observations within stated errors of (g, v, w). An actuator lag is a further state. The leader
 //! accelerates arbitrarily within [-b, a], also between decisions. No vehicle reverses. The *relative* model has only
 //! the gap and the closing speed v - w, which may be negative, and no standstill.
 //!

@@ -212,8 +212,8 @@ impl ClosedLoop<'_> {
         }
     }
 
-    /// Returns d(v, a, T) + slope · max(a T, -v) for speeds v of a vehicle that may stop: for a slope of at least 0 this
-    /// is convex up to v = -a T and grows from there, so that it is largest at an end or at -a T.
+    /// Returns d(v, a, T) + slope · max(a T, -v) for speeds v of a vehicle that may stop: for a slope of at least 0
+    /// this is convex up to v = -a T and grows from there, so that it is largest at an end or at -a T.
     fn stopping_rise(&self, speed: Interval, acceleration: f64, slope: Interval) -> Interval {
         let acceleration = Interval::point(acceleration);
         let largest = -(acceleration * self.interval_s);

@@ -129,8 +129,8 @@ impl InvariantSpec {
             && ego.keeps_lane();
         if ego.driver != Driver::UnderTest || !is_plain {
             return Err(wrong(
-                "the second vehicle must be under test, stay in the lane, and have no noise, delay or limited jerk, and \
-                 the plant `point-mass`",
+                "the second vehicle must be under test, stay in the lane, and have no noise, delay or limited jerk, \
+                 and the plant `point-mass`",
             ));
         }
         let own_mps2 = [-scenario.usable_brake_mps2(1), ego.max_accel_mps2()];
