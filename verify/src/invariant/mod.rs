@@ -2,9 +2,9 @@
 //!
 //! # Model
 //! A vehicle under test at own speed v follows a leader at speed w with a gap g. Every T seconds the controller
-//! commands an acceleration from observations within stated errors of (g, v, w). An actuator lag is a further state. The leader
-//! accelerates arbitrarily within [-b, a], also between decisions. No vehicle reverses. The *relative* model has only
-//! the gap and the closing speed v - w, which may be negative, and no standstill.
+//! commands an acceleration from observations within stated errors of (g, v, w). An actuator lag is a further state.
+//! The leader accelerates arbitrarily within [-b, a], also between decisions. No vehicle reverses. The *relative* model
+//! has only the gap and the closing speed v - w, which may be negative, and no standstill.
 //!
 //! # Set
 //! S = {g ≥ h(x)}, with x the state without the gap. The [`table`] of heights is linear on each simplex. All gaps above
