@@ -89,6 +89,10 @@ impl ClosedLoop<'_> {
         part: &Part,
         splits: u32,
     ) -> Result<(), Shortfall> {
+        // Above the budget every part fails at once, and is not divided.
+        if !self.budget.charge(INTERVAL_OPS_PER_PART * OPS_PER_INTERVAL_OP) {
+            return Err(Shortfall { missing_m: f64::INFINITY, cell, order: 0, change: [0.0; AXIS_COUNT] });
+        }
         let gap = table.heights_over(cell, &part.ranges) + part.above_m;
         let command = self.command.range(&self.observe(gap, &part.ranges), self.own_mps2, self.budget);
         let Some(shortfall) = self.judge(table, &part.ranges, command, part.above_m.low()) else { return Ok(()) };
@@ -116,7 +120,6 @@ impl ClosedLoop<'_> {
         command: Interval,
         above_m: f64,
     ) -> Option<Shortfall> {
-        self.budget.charge(INTERVAL_OPS_PER_PART * OPS_PER_INTERVAL_OP);
         let change = self.change(ranges, command);
         let mut touched = [[0; 2]; AXIS_COUNT];
         let mut of_state = change.of_state;
@@ -183,7 +186,9 @@ impl ClosedLoop<'_> {
                 }
             }
         }
-        (!(worst.missing_m <= 0.0)).then_some(worst)
+        // The own cell is always touched.
+        let holds = worst.missing_m <= 0.0 && worst.missing_m > f64::NEG_INFINITY;
+        (!holds).then_some(worst)
     }
 
     fn change(&self, ranges: &[Interval; AXIS_COUNT], command: Interval) -> Change {
