@@ -1,5 +1,5 @@
 #!/usr/bin/env python3
-"""Writes reference data of the multi-body plant: `.ci/multi_body.py OUT.csv`.
+"""Writes reference data of the multi-body plant: `.ci/multi_body.py OUT.csv [SEED]`. `.ci/nightly plant` tests with it.
 
 Needs the PyPI package `commonroad-vehicle-models` 3.0.2 with `numpy`. Simulates 100 random sequences of demands on a
 straight road by the classical method of Runge and Kutta with a step of 1 ms. Each line has the vehicle (1 to 3), the
@@ -57,7 +57,7 @@ def simulate(vehicle, speed_mps, demands_mps2, symmetrical):
 
 def main():
     """Writes the data."""
-    chance = random.Random(55)
+    chance = random.Random(int(sys.argv[2]) if len(sys.argv) > 2 else 55)
     lines, asymmetry = [], 0.0
     while len(lines) < 100:
         vehicle = 1 + len(lines) % 3

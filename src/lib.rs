@@ -20,7 +20,7 @@
 //! | crate | contents |
 //! |---|---|
 //! | [`core`] | digests, rounded numbers, quoted text, progress |
-//! | [`store`] | run folders: atomic files, manifests, shards |
+//! | [`store`] | run folders: atomic files, manifests |
 //! | [`world`] | scenarios, drivers, estimators, two equivalent simulation engines, measures, recordings |
 //! | [`search`] | worst cases, falsification |
 //! | [`evidence`] | failure rates and claims with certificates, scenario spaces fitted to recordings |

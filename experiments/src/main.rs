@@ -7,6 +7,7 @@ mod both_sides;
 mod chasing_cars;
 mod filter_errors;
 mod learning_curve;
+mod plants_and_sensors;
 mod scenario_of_input;
 mod search_comparison;
 
@@ -27,7 +28,7 @@ struct Experiment {
     run: fn(&[String]) -> Result<(), ExperimentError>,
 }
 
-const EXPERIMENTS: [Experiment; 6] = [
+const EXPERIMENTS: [Experiment; 7] = [
     Experiment {
         name: "both_sides",
         arguments: "RUNS CONTROLLER... [FIGURE.svg] [MEASURED.csv] [space=SPACE]... [seed=N] [estimator=truth] \
@@ -37,6 +38,7 @@ const EXPERIMENTS: [Experiment; 6] = [
     Experiment { name: "chasing_cars", arguments: "FIRST_SEED SEEDS [METHOD]", run: chasing_cars::run },
     Experiment { name: "filter_errors", arguments: "SCENARIO [FACTOR]", run: filter_errors::run },
     Experiment { name: "learning_curve", arguments: "TABLE.csv CONFIGURATION FIGURE.svg", run: learning_curve::run },
+    Experiment { name: "plants_and_sensors", arguments: "RUNS CONTROLLER...", run: plants_and_sensors::run },
     Experiment { name: "scenario_of_input", arguments: "INPUT", run: scenario_of_input::run },
     Experiment { name: "search_comparison", arguments: "EVALUATIONS SEEDS", run: search_comparison::run },
 ];

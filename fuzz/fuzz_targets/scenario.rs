@@ -1,5 +1,5 @@
-//! Any scenario under CRUMPLE_CONTROLLER: `baseline` by default, `any` if the input chooses. A process or an FMU is
-//! refused. Collisions go to the folder CRUMPLE_COLLISIONS, one file for each kind; violated invariants are crashes.
+//! Any scenario under CRUMPLE_CONTROLLER: whatever `--controller` takes, `baseline` by default; `any` if the input
+//! chooses. Collisions go to the folder CRUMPLE_COLLISIONS, one file for each kind; violated invariants are crashes.
 #![no_main]
 
 use std::path::Path;

@@ -1,9 +1,10 @@
-//! Falsification campaigns.
+//! Falsification campaigns, and comparisons of search methods.
 
 use std::path::PathBuf;
 
+use crumple_evidence::MethodComparison;
+use crumple_search::falsify::FailureCriterion;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress};
-use crumple_search::falsify::{FailureCriterion, MetamorphicRelation};
 use crumple_world::measure::Specification;
 use pyo3::prelude::*;
 
@@ -11,6 +12,7 @@ use crate::controller;
 use crate::errors::{self, ExceptionClass};
 use crate::interruptible::{StopFlag, run_interruptible};
 use crate::scenario::PySpace;
+use crate::search_method::{RaisedException, resolve_method};
 use crate::simulation::ESTIMATORS;
 use crate::values::{parse_choice, serialize_to_python};
 
@@ -22,8 +24,8 @@ pub(crate) fn falsify<'py>(
     controller: &Bound<'py, PyAny>,
     space: PyRef<'py, PySpace>,
     spec: &str,
-    beside: (Option<Bound<'py, PyAny>>, Option<String>),
-    method: &str,
+    against: Option<Bound<'py, PyAny>>,
+    method: &Bound<'py, PyAny>,
     aim: &str,
     budget: u64,
     seed: u64,
@@ -32,34 +34,73 @@ pub(crate) fn falsify<'py>(
     resume: bool,
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(Bound<'py, PyAny>, String)> {
-    let stop = StopFlag::default();
-    let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Campaign, &error.to_string());
-    let space = space.0.clone();
-    let nominal = space.scenario(&space.nominal()).map_err(|error| errors::field_exception(py, &error))?;
-    let criterion = match beside {
-        (None, None) => None,
-        (Some(other), None) => Some(FailureCriterion::Differential(controller::resolve_controller(&other, &stop)?)),
-        (None, Some(relation)) => {
-            Some(FailureCriterion::Metamorphic(relation.parse::<MetamorphicRelation>().map_err(|error| wrong(&error))?))
-        }
-        (Some(_), Some(_)) => return Err(wrong(&"against and metamorphic do not go together")),
-    };
+    let (stop, raised) = (StopFlag::default(), RaisedException::default());
     let campaign = Campaign {
-        failure_criterion: criterion,
-        controller: controller::resolve_controller(controller, &stop)?,
-        estimator: parse_choice("estimator", estimator, &ESTIMATORS)?,
-        space,
-        specification: Specification::parse(spec, &nominal).map_err(|error| wrong(&format!("spec: {error}")))?,
-        method: method.parse().map_err(|error| wrong(&error))?,
-        objective: aim.parse().map_err(|error| wrong(&error))?,
+        method: resolve_method(method, &raised)?,
+        objective: aim.parse().map_err(|error| wrong(py, &error))?,
         budget,
         seed,
+        ..campaign(py, controller, &space, spec, against, estimator, &stop)?
     };
     let total = budget.saturating_mul(campaign.methods().len() as u64);
     let summary = run_interruptible(py, &stop, progress.as_ref(), |say| {
         let options = CampaignOptions { resume, ..CampaignOptions::default() };
         campaign.run(&folder, options, &|state: &CampaignProgress| say((state.evaluations, total, state.failures)))
     })?;
-    let summary = summary.map_err(|error| wrong(&error))?;
+    raised.take()?;
+    let summary = summary.map_err(|error| wrong(py, &error))?;
     Ok((serialize_to_python(py, &summary)?, summary.to_text()))
+}
+
+/// Compares search methods. Returns the results as data and as text.
+#[pyfunction]
+#[expect(clippy::too_many_arguments, reason = "the Python half names every argument")]
+pub(crate) fn compare<'py>(
+    py: Python<'py>,
+    controller: &Bound<'py, PyAny>,
+    space: PyRef<'py, PySpace>,
+    spec: &str,
+    against: Option<Bound<'py, PyAny>>,
+    methods: Vec<Bound<'py, PyAny>>,
+    seeds: u64,
+    budget: u64,
+    seed: u64,
+    estimator: &str,
+    progress: Option<Py<PyAny>>,
+) -> PyResult<(Bound<'py, PyAny>, String)> {
+    let (stop, raised) = (StopFlag::default(), RaisedException::default());
+    let campaign = Campaign { budget, seed, ..campaign(py, controller, &space, spec, against, estimator, &stop)? };
+    let methods = methods.iter().map(|method| resolve_method(method, &raised)).collect::<PyResult<Vec<_>>>()?;
+    let compared = run_interruptible(py, &stop, progress.as_ref(), |say| {
+        let observe = |state: &CampaignProgress| say((state.evaluations, state.total, state.failures));
+        MethodComparison::run(&campaign, &methods, seeds, &observe)
+    })?;
+    raised.take()?;
+    let compared = compared.map_err(|error| wrong(py, &error))?;
+    Ok((serialize_to_python(py, &compared)?, compared.to_text()))
+}
+
+/// Returns a campaign with the default method.
+fn campaign<'py>(
+    py: Python<'py>,
+    controller: &Bound<'py, PyAny>,
+    space: &PySpace,
+    spec: &str,
+    against: Option<Bound<'py, PyAny>>,
+    estimator: &str,
+    stop: &StopFlag,
+) -> PyResult<Campaign> {
+    let space = space.0.clone();
+    let nominal = space.scenario(&space.nominal()).map_err(|error| errors::field_exception(py, &error))?;
+    let against = against.map(|other| controller::resolve_controller(&other, stop)).transpose()?;
+    Ok(Campaign {
+        failure_criterion: against.map(FailureCriterion::Differential),
+        estimator: parse_choice("estimator", estimator, &ESTIMATORS)?,
+        specification: Specification::parse(spec, &nominal).map_err(|error| wrong(py, &format!("spec: {error}")))?,
+        ..Campaign::new(controller::resolve_controller(controller, stop)?, space)
+    })
+}
+
+fn wrong(py: Python<'_>, error: &dyn std::fmt::Display) -> PyErr {
+    errors::exception(py, ExceptionClass::Campaign, &error.to_string())
 }

@@ -34,6 +34,34 @@ pub(crate) struct PyObservation {
 
 #[pymethods]
 impl PyObservation {
+    #[new]
+    #[pyo3(signature = (
+        *, speed_mps, acceleration_mps2, gap_ahead_m = None, speed_ahead_mps = None, acceleration_ahead_mps2 = None,
+        gap_behind_m = None, speed_behind_mps = None, acceleration_behind_mps2 = None
+    ))]
+    #[expect(clippy::too_many_arguments, reason = "the arguments are the eight quantities")]
+    fn from_quantities(
+        speed_mps: f64,
+        acceleration_mps2: f64,
+        gap_ahead_m: Option<f64>,
+        speed_ahead_mps: Option<f64>,
+        acceleration_ahead_mps2: Option<f64>,
+        gap_behind_m: Option<f64>,
+        speed_behind_mps: Option<f64>,
+        acceleration_behind_mps2: Option<f64>,
+    ) -> Self {
+        Self {
+            speed_mps,
+            acceleration_mps2,
+            gap_ahead_m,
+            speed_ahead_mps,
+            acceleration_ahead_mps2,
+            gap_behind_m,
+            speed_behind_mps,
+            acceleration_behind_mps2,
+        }
+    }
+
     fn __repr__(&self) -> String {
         format!("{self:?}")
     }

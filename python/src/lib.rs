@@ -13,8 +13,10 @@ mod interruptible;
 mod monitor;
 mod rate;
 mod scenario;
+mod search_method;
 mod simulation;
 mod table;
+mod testing;
 mod threads;
 mod values;
 mod worst_case;
@@ -31,7 +33,7 @@ mod _crumple {
     #[pymodule_export]
     use crate::{
         assessment::{PyAssessment, assess},
-        campaign::falsify,
+        campaign::{compare, falsify},
         controller::{PyObservation, allow_external},
         episodes::{Episodes, training_preset},
         figure::PyFigure,
@@ -39,6 +41,7 @@ mod _crumple {
         rate::rate,
         scenario::{PyScenario, PySpace},
         simulation::{PyTrace, PyTrack, Simulation, simulate},
+        testing::{PyFamily, PyProperty},
         worst_case::worst_case,
     };
 

@@ -80,6 +80,11 @@ impl PyScenario {
         file::to_toml(&self.0).map_err(|error| errors::exception(py, ExceptionClass::Scenario, &error))
     }
 
+    /// Pickles the TOML text.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (String,))> {
+        Ok((py.import("crumple")?.getattr("scenario")?, (self.to_toml(py)?,)))
+    }
+
     fn __len__(&self) -> usize {
         self.0.vehicles().len()
     }
@@ -141,6 +146,13 @@ impl PySpace {
 
     fn to_dict<'py>(&self, py: Python<'py>) -> PyResult<Bound<'py, PyAny>> {
         serialize_to_python(py, self.0.spec())
+    }
+
+    /// Pickles the TOML text, with its base scenario.
+    fn __reduce__<'py>(&self, py: Python<'py>) -> PyResult<(Bound<'py, PyAny>, (String,))> {
+        let text = space::file::to_toml(&self.0);
+        let text = text.map_err(|error| errors::exception(py, ExceptionClass::Space, &error))?;
+        Ok((py.import("crumple")?.getattr("space")?, (text,)))
     }
 
     fn __len__(&self) -> usize {

@@ -21,6 +21,15 @@ def test_a_simple_acc_is_falsified(tmp_path):
     assert (tmp_path / "acc-fails.svg").exists()
 
 
+def test_optuna_searches_for_failures():
+    pytest.importorskip("optuna")
+    import optuna_search
+
+    compared = optuna_search.main(2, 60)
+    assert [method["method"] for method in compared.data["methods"]] == ["optuna", "auto", "uniform"]
+    assert compared.data["methods"][0]["falsified"] > 0
+
+
 def test_models_are_trained_and_evaluated(tmp_path):
     pytest.importorskip("stable_baselines3")
     import train_sb3

@@ -1,11 +1,10 @@
 //! Arguments that several subcommands share, such as scenarios and controllers.
 
 use std::ops::RangeInclusive;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 use std::sync::{Mutex, PoisonError};
 
 use super::{CliError, output};
-use crumple_store::shard::ShardId;
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -41,15 +40,6 @@ pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, CliError> {
         }
     }
     Ok(scenario)
-}
-
-/// Returns the folder of results: `out`, or else `default`, for a shard with its index.
-pub(super) fn result_folder(out: Option<&Path>, default: &str, shard: Option<ShardId>) -> PathBuf {
-    match (out, shard) {
-        (Some(out), _) => out.to_owned(),
-        (None, None) => PathBuf::from(default),
-        (None, Some(shard)) => PathBuf::from(format!("{default}-shard-{}-of-{}", shard.index(), shard.count())),
-    }
 }
 
 pub(super) fn whole_number(range: RangeInclusive<u64>) -> impl Fn(&str) -> Result<u64, String> + Clone {

@@ -30,7 +30,7 @@ configures more:
   controllers = [\"baseline\", \"policy\"]   # the first is compared with all others
   subject = \"policy\"                       # the safety case is about this controller
   estimator = \"kalman\"
-  # false omits the paper's scenarios, profiles, maps, training and space
+  # false omits the paper's scenarios, profiles, training and space
   paper = true
   distributions = [\"paper\"]               # spaces in which failures are counted
   draws = 1000                             # random scenarios of each of these spaces
@@ -41,6 +41,8 @@ configures more:
   # recordings whose braking episodes become scenarios (see import)
   recordings = [\"platoon.csv\"]
   search = { spaces = [\"paper\", \"high-risk\"], budget = 400 }
+  # collisions ahead and behind, and harm, by kind of follower, and runs.csv
+  harm = { emergencies_per_hour = 0.1, avoid_draws = 100 }
   # suites of tests, at most 20 (see suite list)
   suites = [{ suite = \"fmvss-127\", controllers = [\"policy\"] }]
   rates = { runs = 4000, confidence = 0.999 }

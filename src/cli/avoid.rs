@@ -11,6 +11,7 @@ use super::artifacts::ArtifactArgs;
 use super::output;
 use super::{CliError, args};
 use crumple_core::quoting::TerminalText;
+use crumple_search::confirmation::escape_survives;
 use crumple_search::worst_case::{
     AvoidError, AvoidOptions, Avoidance, AvoidanceVerdict, EmergencyBrake, Escape, FoundBy, Optimality,
     UndecidedReason, avoid, certify,
@@ -80,6 +81,8 @@ struct AvoidReport<'a> {
     escape_found_by: Option<&'static str>,
     programs: usize,
     simulations: usize,
+    /// True if the escape has no collision with the multi-body plant either.
+    escape_survives_multi_body: Option<bool>,
     reason: Option<&'a UndecidedReason>,
 }
 
@@ -155,6 +158,7 @@ fn report<'a>(scenario: &'a Scenario, avoidance: &'a Avoidance) -> AvoidReport<'
             FoundBy::Programs => 0,
             FoundBy::ClosedLoop { simulations } => simulations,
         }),
+        escape_survives_multi_body: escape.and_then(|escape| escape_survives(scenario, &escape.acceleration_mps2)),
         reason,
     }
 }
@@ -214,6 +218,10 @@ fn describe(report: &AvoidReport<'_>) -> String {
     }
     if let (Some(best_for), Some(effort)) = (&report.escape_is_best_for, report.effort_m2ps3) {
         let _ = writeln!(text, "  ∫a² of the escape {effort:.1} m²/s³: {best_for}");
+    }
+    if let Some(survives) = report.escape_survives_multi_body {
+        let replay = if survives { "no collision either" } else { "a COLLISION: it depends on the point mass" };
+        let _ = writeln!(text, "  with the multi-body plant, this escape has {replay}");
     }
     if let Some(reason) = reason {
         let _ = writeln!(text, "  {reason}");

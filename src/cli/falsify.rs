@@ -8,10 +8,12 @@ use serde::Serialize;
 use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, output, progress, value_enums};
 use crumple_core::observer::Listener;
+use crumple_evidence::MethodComparison;
 use crumple_search::falsify::campaign::{
     Campaign, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog, MethodSummary, SearchObjective,
 };
-use crumple_search::falsify::{FailureCriterion, MetamorphicRelation, Method, non_finite};
+use crumple_search::falsify::{FailureCriterion, Method, non_finite};
+use crumple_store::disk::StagedFiles;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{FindSpaceError, ScenarioSpace, find_space};
@@ -27,11 +29,14 @@ summary. --resume continues an interrupted campaign, even after `kill -9`, and g
 lists all files with their hashes: --resume refuses a folder with truncated, edited, moved or additional files and \
 names them. This does not protect against a person who changes the files and `work.json` together.
 
+--compare prints for each method the falsification rate and the mean and median number of simulations up to the first \
+failure, and compares all pairs of methods on the same seeds by exact tests (McNemar and sign test, with the \
+correction of Holm).
+
 Named specifications for --spec are `no braking without cause` (how much harder than a reference driver the vehicle \
 may brake), `imposed braking at most 4 m/s2` (of the follower) and `no amplification` (the vehicle's largest change \
-of speed does not exceed that of its leader, if all vehicles have the same initial speed). With --against or \
---metamorphic a failure has two runs. Its robustness is max(r, -r of the other run): negative if only the first run \
-fails. `counterexamples/partners/` contains the other scenario of --metamorphic.
+of speed does not exceed that of its leader, if all vehicles have the same initial speed). With --against a failure \
+has two runs. Its robustness is max(r, -r of the other run): negative if only the first run fails.
 
 Formulas for --spec use signals such as v1.gap_m, v1.ttc_s, v1.headway_s, v1.drac_mps2, v0.speed_mps, v1.accel_mps2 \
 and v1.jerk_mps3; vehicles are numbered from the front. A formula may have 4000 tokens, nested 64 deep, and a space \
@@ -46,6 +51,7 @@ Examples:
   crumple falsify --controller idm --spec 'always v1.time_gap_s > 0.3' --out runs/idm
   crumple falsify --controller policy --aim likeliest --out runs/likeliest
   crumple falsify --controller my-acc.toml --space traffic --budget 5000 --expect nothing
+  crumple falsify --controller idm --compare auto,cma-es,uniform --seeds 30 --budget 500
   crumple simulate runs/baseline/counterexamples/01-2-hits-1.toml --controller baseline \\
     --plot crash.svg
   crumple simulate runs/idm/counterexamples/01-violation.toml --controller idm \\
@@ -62,7 +68,8 @@ pub(super) struct Falsify {
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
-    /// Failures to prefer after the first one is found: severest, likeliest or nearest (to nominal)
+    /// Failures to prefer after the first one is found: severest, likeliest, nearest (to nominal) or harm
+    /// (expected number of seriously injured drivers)
     #[arg(long, value_name = "A", default_value = "severest")]
     aim: SearchObjective,
     /// Evaluations of the method, and of each reference search: 1 to 1 000 000 000
@@ -75,16 +82,26 @@ pub(super) struct Falsify {
     #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT)]
     spec: String,
     /// Count only failures in scenarios that this other controller passes
-    #[arg(long, value_name = "CONTROLLER", value_parser = args::parse_controller, conflicts_with = "metamorphic")]
+    #[arg(long, value_name = "CONTROLLER", value_parser = args::parse_controller)]
     against: Option<NamedController>,
-    /// Count only failures that a harder scenario avoids: with `larger-gap=M`, the one in which vehicles ahead start M
-    /// metres nearer; with `more-friction=F`, the one with friction lower by F; with `earlier-reaction=S`, the one with
-    /// reactions S seconds later
-    #[arg(long, value_name = "RELATION")]
-    metamorphic: Option<MetamorphicRelation>,
     /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
+    /// Compare methods instead of a campaign: names separated by commas, as in `auto,cma-es,uniform`. Each method runs
+    /// with each of --seeds up to its first failure
+    #[arg(
+        long,
+        value_name = "METHODS",
+        value_delimiter = ',',
+        conflicts_with_all = ["method", "aim", "log", "expect", "out", "resume"]
+    )]
+    compare: Vec<Method>,
+    /// Number of seeds of --compare, from --seed on: 1 to 1000
+    #[arg(long, value_name = "N", default_value_t = 30, value_parser = value_parser!(u64).range(1..=1000))]
+    seeds: u64,
+    /// Write the runs of --compare as a table, one row for each method and seed; replaces an existing file
+    #[arg(long, value_name = "F.csv", requires = "compare")]
+    table: Option<PathBuf>,
     /// Detail of the log of evaluations
     #[arg(long, value_name = "L", default_value = "full", value_parser = value_enums::one_of(value_enums::LOGS))]
     log: EvaluationLog,
@@ -126,13 +143,6 @@ impl SearchExpectation {
             }
             // Runs without a verdict are no evidence for the controller.
             (Self::Nothing, false) => {
-                let without_partner: u64 = summary.methods.iter().filter_map(|method| method.without_partner).sum();
-                if without_partner > 0 && without_partner == evaluations {
-                    return Err(CliError::Gate(format!(
-                        "expected no failure, but none of {evaluations} evaluations has a second scenario to compare \
-                         with"
-                    )));
-                }
                 match summary.methods.iter().find_map(|method| method.other_unanswered.as_ref()) {
                     Some(unanswered) => Err(CliError::Gate(format!(
                         "expected no failure, but some evaluations have no verdict, because the other controller gave \
@@ -152,18 +162,20 @@ impl Falsify {
         let space = load_space(&self.space)?;
         let nominal = space.scenario(&space.nominal()).map_err(CliError::input)?;
         let specification = args::parse_specification(&self.spec, &nominal, quiet)?;
-        let against = self.against.map(FailureCriterion::Differential);
         let campaign = Campaign {
             controller: self.controller,
             estimator: self.estimator,
             space,
             specification,
-            failure_criterion: against.or(self.metamorphic.map(FailureCriterion::Metamorphic)),
+            failure_criterion: self.against.map(FailureCriterion::Differential),
             method: self.method,
             objective: self.aim,
             budget: self.budget,
             seed: self.seed,
         };
+        if !self.compare.is_empty() {
+            return compare(&campaign, &self.compare, self.seeds, self.table.as_deref(), self.format, quiet);
+        }
         let kept = format!("the evaluations so far are in {}", self.out.display());
         let resume_note = match campaign.controller.kind.identity() {
             Some(_) => format!("{kept}: the same command with --resume continues"),
@@ -190,6 +202,33 @@ impl Falsify {
         let expected = self.expect.map_or(Ok(()), |expected| expected.check(&summary));
         CliError::gate_first(expected, print_summary(&summary, self.format))
     }
+}
+
+/// Compares methods and prints the result.
+fn compare(
+    campaign: &Campaign,
+    methods: &[Method],
+    seeds: u64,
+    table: Option<&Path>,
+    format: OutputFormat,
+    quiet: bool,
+) -> Result<(), CliError> {
+    let total = campaign.budget.saturating_mul(seeds).saturating_mul(methods.len() as u64);
+    let bar = progress::campaign_bar(total, quiet);
+    let observer = Listener(|state: &CampaignProgress| {
+        bar.set_position(state.evaluations);
+        let method = state.method.as_ref().map_or("", Method::name);
+        bar.set_message(format!("{method}: {};", format_failure_count(state.failures)));
+    });
+    let comparison = MethodComparison::run(campaign, methods, seeds, &observer);
+    bar.finish_and_clear();
+    let comparison = comparison?;
+    if let Some(path) = table {
+        let mut files = StagedFiles::default();
+        files.stage(&output::resolve_output_path(path)?, comparison.to_csv())?;
+        files.commit()?;
+    }
+    output::print_result(format, &comparison, || comparison.to_text())
 }
 
 /// JSON summary. Some fields refer to the requested method and some to all methods; the two additional fields

@@ -42,9 +42,9 @@ An OpenSCENARIO file F.xosc (1.0 to 1.3) becomes a scenario on the lane of the v
 Unsupported content is an error with element, line and reason. A file may have 64 MiB.
 
 Recordings of any length need less than 500 MB of memory: crumple reads them in overlapping parts of about 500 000 \
-rows, and traffic through temporary files (in TMPDIR). A platoon may have 200 vehicles, a file a million events. \
---preview and --guess read the first part. A map may have 64 KiB. An existing scenario file stays as it \
-is if it is equal; if it differs, nothing is written without --force.
+rows, and traffic through temporary files (in TMPDIR). A platoon may have 200 vehicles, a file a million events or \
+vehicles. --preview reads the first part, --guess the first 500 000 rows. A map may have 64 KiB. An existing \
+scenario file stays as it is if it is equal; if it differs, nothing is written without --force.
 
 Examples:
   crumple import platoon.csv --out episodes

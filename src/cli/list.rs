@@ -10,7 +10,7 @@ use super::{CliError, output};
 use crumple_search::falsify::Method;
 use crumple_world::control::ControllerSpec;
 use crumple_world::scenario::built_in_scenario_names;
-use crumple_world::scenario::space::BUILT_IN_SPACES;
+use crumple_world::scenario::space::{BUILT_IN_SPACES, HUMAN_SPACES};
 
 const SHIELD_ENTRY: (&str, &str) = (
     "shield:policy",
@@ -79,7 +79,11 @@ impl Catalogue {
                 });
                 own.chain([entry(SHIELD_ENTRY)]).collect()
             }
-            Self::Spaces => BUILT_IN_SPACES.map(|(name, summary, _)| entry((name, summary))).into(),
+            Self::Spaces => BUILT_IN_SPACES
+                .into_iter()
+                .chain(HUMAN_SPACES)
+                .map(|(name, summary, _)| entry((name, summary)))
+                .collect(),
             Self::Methods => Method::ALL.iter().map(|method| entry((method.name(), method.summary()))).collect(),
         }
     }

@@ -26,7 +26,7 @@ mod import_openscenario;
 mod interrupt;
 mod invariant;
 mod list;
-mod merge;
+mod new;
 mod output;
 mod output_folder;
 mod preset;
@@ -62,7 +62,7 @@ Exit codes:
   0    done
   1    a gate did not hold, or the result is negative: --expect not met, certificate
        rejected, nothing verified, no episode found, training or retraining without a
-       better policy, files damaged, shards missing
+       better policy, files damaged
   2    unusable arguments or input; the message names file, line and field
   3    the environment failed: disk, permission
   130  interrupted";
@@ -75,9 +75,9 @@ const TASKS: &[(&str, &[&str])] = &[
     ("Prove", &["verify", "check"]),
     ("Train and tune", &["train", "retrain", "tune"]),
     ("Use recorded data", &["import", "fit", "replay"]),
-    ("Manage results", &["merge", "fsck"]),
+    ("Manage results", &["fsck"]),
     ("Look up", &["list", "show", "describe", "doctor"]),
-    ("Set up the shell", &["completions", "man"]),
+    ("Set up", &["new", "completions", "man"]),
 ];
 
 /// Tests longitudinal driving controllers in simulation, before they reach the road.
@@ -87,7 +87,7 @@ struct Cli {
     /// Print no progress and no notes on standard error; errors are still shown
     #[arg(long, short, global = true)]
     quiet: bool,
-    /// Also start programs and FMUs that files name: scenarios, spaces, suites, shards, campaigns, certificates.
+    /// Also start programs and FMUs that files name: scenarios, spaces, suites, campaigns, certificates.
     /// Without it crumple starts only those named on this command line, or in a configuration or controller file on it
     #[arg(long, global = true)]
     allow_external: bool,
@@ -108,17 +108,17 @@ enum CliCommand {
     // Boxed: it has far more arguments than any other.
     Retrain(Box<retrain::Retrain>),
     Tune(Box<tune::Tune>),
-    Falsify(falsify::Falsify),
+    Falsify(Box<falsify::Falsify>),
     Avoid(avoid::Avoid),
     WorstCase(worst_case::WorstCase),
     Check(check::Check),
     Verify(verify::Verify),
     Suite(suite::SuiteCommand),
-    Merge(merge::Merge),
     Fsck(fsck::Fsck),
     List(list::ListCommand),
     Show(show::Show),
     Describe(describe::Describe),
+    New(new::New),
     Doctor(doctor::Doctor),
     Completions(shell::Completions),
     Man(shell::Man),
@@ -163,11 +163,11 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         CliCommand::Falsify(command) => command.run(quiet),
         CliCommand::Verify(command) => command.run(quiet),
         CliCommand::Suite(command) => command.run(quiet),
-        CliCommand::Merge(command) => command.run(quiet),
         CliCommand::Fsck(command) => command.run(),
         CliCommand::List(command) => command.run(),
         CliCommand::Show(command) => command.run(quiet),
         CliCommand::Describe(command) => command.run(),
+        CliCommand::New(command) => command.run(quiet),
         CliCommand::Doctor(command) => command.run(),
         CliCommand::Completions(command) => command.run(build_command()),
         CliCommand::Man(command) => command.run(build_command(), quiet),

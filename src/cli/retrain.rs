@@ -34,13 +34,13 @@ collisions. It then trains the policy on these, mixed with random scenarios of t
 distribution and the space, and evaluates the best checkpoint. With `[imitation]` in the preset (`road`), the policy \
 imitates the expert in them. It accepts the checkpoint only if no safe scenario of the paper and its distribution \
 fails, collisions on the validation set do not increase and fall there or in the collected cases, and the policy is \
-significantly worse in none of the \
---regression spaces: by collisions and, where `idm` drives without fault, also by hard unnecessary braking and \
-vehicles left behind (McNemar's exact one-sided test on the same random scenarios, p below 0.01). With `useful_draws` \
-in the preset, drives of `traffic` may not have more collisions, hard unnecessary braking or vehicles left behind, nor \
-jerk or acceleration more than 1 % above that of the initial policy and of `idm`, nor a mean time gap further outside 1.2 to 2.1 s, and a line of \
-five vehicles may not amplify a disturbance more than before if its gain exceeds 1. The retraining \
-ends after --rounds, or when a search finds no avoidable failure, and then evaluates the result on the test set.
+significantly worse in none of the --regression spaces: by collisions and, where `idm` drives without fault, also by \
+hard unnecessary braking and vehicles left behind (McNemar's exact one-sided test on the same random scenarios, p \
+below 0.01). With `useful_draws` in the preset, drives of `traffic` may not have more collisions, hard unnecessary \
+braking or vehicles left behind, nor jerk or acceleration more than 1 % above that of the initial policy and of \
+`idm`, nor a mean time gap further outside 1.2 to 2.1 s, and a line of five vehicles may not amplify a disturbance \
+more than before if its gain exceeds 1. The retraining ends after --rounds, or when a search finds no avoidable \
+failure, and then evaluates the result on the test set.
 
 The folder contains the policy, the training, validation and test sets, a report (report.md, report.json) with their \
 hashes, and each round. --resume continues an interrupted retraining, even after `kill -9`, and gives the same bytes \
@@ -61,8 +61,8 @@ pub(super) struct Retrain {
     /// repeated [default: the spaces of the preset, or `high-risk` if it has none]
     #[arg(long, value_name = "S")]
     space: Vec<String>,
-    /// Scenario that each round also attacks, as it is and with the worst-case braking of a scripted leader: built-in, a file, or a
-    /// folder, for example of collisions that a fuzz target wrote; may be repeated, `none` for none
+    /// Scenario that each round also attacks, as it is and with the worst-case braking of a scripted leader: built-in,
+    /// a file, or a folder, for example of collisions that a fuzz target wrote; may be repeated, `none` for none
     /// [default: paper-1 and paper-2 with an imitation, otherwise none]
     #[arg(long, value_name = "F")]
     scenario: Vec<String>,

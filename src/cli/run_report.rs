@@ -5,6 +5,7 @@ use std::path::Path;
 use serde::Serialize;
 
 use crumple_core::quoting::TerminalText;
+use crumple_world::measure::stl::FormulaPart;
 use crumple_world::measure::{BrakeInstant, UnnecessaryBraking, UsefulnessMeasures};
 use crumple_world::scenario::{Driver, LaneChange, Scenario, VehicleSpec};
 use crumple_world::sim::{Impact, Intervention, Outcome, SimulationResult, VehicleSummary};
@@ -56,6 +57,46 @@ pub(super) struct SpecificationResult {
     /// Negative if and only if the specification is violated.
     #[serde(with = "crumple_search::falsify::non_finite")]
     pub(super) robustness: f64,
+    /// The formula and its parts, of `--parts`.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub(super) parts: Vec<PartReport>,
+}
+
+/// Robustness of a part of a formula, at each step `dt_s` of the run.
+#[derive(Serialize)]
+pub(super) struct PartReport {
+    depth: usize,
+    formula: String,
+    robustness: Vec<Robustness>,
+    #[serde(skip)]
+    pub(super) part: FormulaPart,
+}
+
+#[derive(Serialize)]
+struct Robustness(#[serde(with = "crumple_search::falsify::non_finite")] f64);
+
+impl From<FormulaPart> for PartReport {
+    fn from(part: FormulaPart) -> Self {
+        let robustness = part.robustness.iter().copied().map(Robustness).collect();
+        Self { depth: part.depth, formula: part.formula.to_string(), robustness, part }
+    }
+}
+
+impl PartReport {
+    /// Returns the least robustness, and the times between which the part is violated.
+    fn describe(&self, step_s: f64) -> String {
+        let time_s = |sample: usize| sample as f64 * step_s;
+        let (sample, least) = self.part.least().unwrap_or_default();
+        let is_violated = |value: &f64| *value < 0.0;
+        let first = self.part.robustness.iter().position(is_violated);
+        let last = self.part.robustness.iter().rposition(is_violated);
+        let violated = match first.zip(last) {
+            Some((first, last)) => format!(", below 0 between {:.2} and {:.2} s", time_s(first), time_s(last)),
+            None => String::new(),
+        };
+        let (indent, formula) = ("  ".repeat(self.depth), &self.formula);
+        format!("    {indent}least {least:.3} at {:.2} s{violated}: {formula}", time_s(sample))
+    }
 }
 
 /// Times at which a vehicle entered and left the lane, in seconds; `None` for an event that did not happen.
@@ -113,9 +154,10 @@ pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
     for vehicle in &report.fell_behind {
         line(format!("  vehicle {vehicle} is left behind by its leader"));
     }
-    for SpecificationResult { specification, satisfied, robustness } in &report.specifications {
+    for SpecificationResult { specification, satisfied, robustness, parts } in &report.specifications {
         let verdict = if *satisfied { "holds" } else { "VIOLATED" };
         line(format!("  {verdict}, robustness {robustness:.3}: {specification}"));
+        parts.iter().for_each(|part| line(part.describe(report.dt_s)));
     }
     for index in 0..report.vehicles.len() {
         if let Some(message) = shield_line(report.interventions, index) {

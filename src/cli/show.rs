@@ -9,7 +9,7 @@ use crumple_learn::retrain::TRAINING_PRESET_TEXT;
 use crumple_learn::rl::PRESETS;
 use crumple_suites::SHIPPED_SUITES;
 use crumple_world::recording::map::BUILT_IN_MAPS;
-use crumple_world::scenario::space::BUILT_IN_SPACES;
+use crumple_world::scenario::space::{BUILT_IN_SPACES, HUMAN_SPACES, built_in_space, file as space_file};
 use crumple_world::scenario::{Scenario, VehicleClass, built_in_scenario, built_in_scenario_names, file};
 use crumple_world::sim::NamedController;
 
@@ -70,7 +70,14 @@ impl BuiltInKind {
                     .filter_map(|(name, _)| Some((name, built_in_scenario(name)?)));
                 all.map(|(name, scenario)| Ok((name, text(&scenario)?))).collect::<Result<_, CliError>>()?
             }
-            Self::Space => BUILT_IN_SPACES.map(|(name, _, text)| owned((name, text))).into(),
+            Self::Space => {
+                let variant = |(name, ..): (&'static str, _, _)| {
+                    let text = built_in_space(name).map(|space| space_file::to_toml(&space));
+                    Ok((name, text.transpose().map_err(CliError::input)?.unwrap_or_default()))
+                };
+                let shipped = BUILT_IN_SPACES.into_iter().map(|(name, _, text)| Ok(owned((name, text))));
+                shipped.chain(HUMAN_SPACES.into_iter().map(variant)).collect::<Result<_, CliError>>()?
+            }
             Self::Preset => {
                 PRESETS.into_iter().chain([(RETRAIN_PRESET_NAMES[0], TRAINING_PRESET_TEXT)]).map(owned).collect()
             }

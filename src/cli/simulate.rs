@@ -5,16 +5,18 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 
 use super::output;
-use super::run_report::{RunReport, SpecificationResult, describe, fell_behind, lane_changes, unnecessary_braking};
+use super::run_report::{
+    PartReport, RunReport, SpecificationResult, describe, fell_behind, lane_changes, unnecessary_braking,
+};
 use super::{CliError, args, feature, value_enums};
-use crumple_evidence::RateInterval;
-use crumple_report::draw::{self, MotionFigure, PanelArrangement};
+use crumple_report::draw::{self, MotionFigure, PanelArrangement, Svg};
 use crumple_report::export;
+use crumple_search::confirmation::ReplayShare;
 use crumple_search::falsify::counterexample::{ExpectedFile, VerdictRecordReader};
 use crumple_store::disk::StagedFiles;
 use crumple_world::measure::{Specification, SpecificationError};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::{Driver, PlantKind, Scenario, ScenarioSpec, built_in_scenario, file};
+use crumple_world::scenario::{PlantKind, Scenario, built_in_scenario, file};
 use crumple_world::sim::{
     AfterContact, Impact, NamedController, RecordingLevel, Run, RunOptions, SimulationResult, Trace, simulate,
     simulate_batch,
@@ -42,7 +44,9 @@ Examples:
   crumple simulate paper-1 --after-contact continue --plot pile-up.svg
   crumple simulate my-scenario.toml --controller idm --expect useful --format json
   crumple simulate paper-1 --controller idm --spec 'always v1.time_gap_s > 0.3' \\
-    --spec 'no contact' --expect satisfied")]
+    --spec 'no contact' --expect satisfied
+  crumple simulate paper-1 --spec 'always (v1.gap_m > 2 and v2.gap_m > 2)' --parts \\
+    --plot parts.svg")]
 pub(super) struct Simulate {
     /// Built-in scenarios (see `crumple list scenarios`), scenario files, or folders of scenario files
     #[arg(required = true, value_name = "SCENARIO")]
@@ -82,6 +86,9 @@ pub(super) struct Simulate {
     /// repeated
     #[arg(long, value_name = "STL")]
     spec: Vec<String>,
+    /// Also evaluate each part of the formulas over time; --plot draws the first twelve below the diagrams
+    #[arg(long, requires = "spec")]
+    parts: bool,
     /// Exit with 1 unless every scenario ends like this
     #[arg(long, value_enum)]
     expect: Option<RunExpectation>,
@@ -190,7 +197,9 @@ impl Simulate {
         files.commit()?;
         let mut text: String = results.iter().map(|result| result.text.as_str()).collect();
         if let (Some(plant), true, OutputFormat::Text) = (self.plant, many, self.format) {
-            text += &describe_collision_share(plant, &results);
+            let share = ReplayShare::from_results(results.iter().map(|result| result.collided));
+            let share = share.map(|share| share.describe("scenarios have a collision"));
+            text += &format!("{}: {}\n", plant.name(), share.unwrap_or_default());
         }
         let printed = output::print_coloured(self.format, &text);
         CliError::gate_first(self.check_expectation(&runs, &results), printed)
@@ -212,8 +221,13 @@ impl Simulate {
             let name = is_one_of_many.then_some(run.scenario().spec().name.as_str());
             if let Some(path) = &self.plot {
                 let (scenario, controller) = (run.scenario(), &self.controller.name);
-                let figure = render_motion_figure(path, scenario, controller, trace, &simulated.impacts)?;
-                files.push((path_for_scenario(path, name), figure));
+                let mut figure = draw_motion(scenario, controller, trace, &simulated.impacts);
+                let parts = report.specifications.iter().flat_map(|evaluated| &evaluated.parts);
+                let parts: Vec<_> = parts.map(|report| report.part.clone()).collect();
+                if !parts.is_empty() {
+                    figure = draw::add_robustness("motion", &figure, &parts, run.dt_s());
+                }
+                files.push((path_for_scenario(path, name), encode_figure(path, &figure)?));
             }
             if let Some(path) = &self.trace {
                 let table = match extension(path) {
@@ -260,10 +274,7 @@ impl Simulate {
         };
         match self.plant {
             None => Ok(scenario),
-            Some(plant) => {
-                let changed = scenario.edited(|spec| set_plant(spec, plant));
-                changed.map_err(|error| CliError::Input(format!("--plant: {error}")))
-            }
+            Some(plant) => scenario.with_plant(plant).map_err(|error| CliError::Input(format!("--plant: {error}"))),
         }
     }
 
@@ -320,7 +331,10 @@ impl Simulate {
             };
             let verdict = specification.evaluate(&runs[index].0, &runs[index].2)?;
             let (satisfied, robustness) = (!verdict.is_violation(), verdict.robustness);
-            Ok(SpecificationResult { specification: specification.to_string(), satisfied, robustness })
+            let parts =
+                if self.parts { specification.parts_over_time(&runs[index].0, &runs[index].2)? } else { Vec::new() };
+            let parts = parts.into_iter().map(PartReport::from).collect();
+            Ok(SpecificationResult { specification: specification.to_string(), satisfied, robustness, parts })
         };
         self.spec.iter().map(evaluate).collect()
     }
@@ -353,29 +367,6 @@ fn list_scenario_files(names: Vec<String>) -> Result<Vec<String>, CliError> {
     Ok(files)
 }
 
-/// Sets the plant of all vehicles that a controller drives.
-fn set_plant(spec: &mut ScenarioSpec, plant: PlantKind) {
-    for vehicle in spec.vehicles.iter_mut().filter(|vehicle| !matches!(vehicle.driver, Driver::Profile(_))) {
-        vehicle.plant = plant;
-        if plant == PlantKind::PointMass {
-            vehicle.body = None;
-        }
-    }
-}
-
-/// Returns a line with the share of scenarios that have a collision.
-fn describe_collision_share(plant: PlantKind, results: &[RenderedRun]) -> String {
-    let (collided, count) = (results.iter().filter(|result| result.collided).count(), results.len());
-    let interval = RateInterval::clopper_pearson(collided as u64, count as u64, 0.95);
-    let [share, low, high] =
-        [collided as f64 / count as f64, interval.lower, interval.upper].map(|share| 100.0 * share);
-    format!(
-        "{}: {collided} of {count} scenarios have a collision \
-         ({share:.1} %; exact 95 % interval: {low:.1} to {high:.1} %)\n",
-        plant.name()
-    )
-}
-
 /// Renders the three diagrams of a run, in the format of the file's extension.
 pub(super) fn render_motion_figure(
     path: &Path,
@@ -384,12 +375,19 @@ pub(super) fn render_motion_figure(
     trace: &Trace,
     impacts: &[Impact],
 ) -> Result<Vec<u8>, CliError> {
+    encode_figure(path, &draw_motion(scenario, controller, trace, impacts))
+}
+
+fn draw_motion(scenario: &Scenario, controller: &str, trace: &Trace, impacts: &[Impact]) -> Svg {
     let title = format!("{}, {controller}", scenario.spec().name);
     let labels = draw::vehicle_names(scenario);
     let figure = MotionFigure { prefix: "motion", title: &title, labels: &labels, trace, impacts };
-    let picture = draw::draw_motion(&figure, PanelArrangement::Wide);
+    draw::draw_motion(&figure, PanelArrangement::Wide)
+}
+
+fn encode_figure(path: &Path, picture: &Svg) -> Result<Vec<u8>, CliError> {
     match extension(path) {
-        Some("png") => feature::render_png(&picture),
+        Some("png") => feature::render_png(picture),
         _ => Ok(picture.document().into_bytes()),
     }
 }

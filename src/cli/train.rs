@@ -21,7 +21,7 @@ use crumple_learn::rl::{
 use crumple_store::disk;
 use crumple_store::run_folder;
 
-/// Train a driving policy by reinforcement learning, by imitation of a controller, or both
+/// Train a driving policy by reinforcement learning, imitation, or both
 #[derive(Args)]
 #[command(after_long_help = "\
 Presets:

@@ -17,7 +17,8 @@ use crumple_world::observation::EstimatorKind;
 #[derive(Args)]
 #[command(after_long_help = "\
 The search simulates each candidate in the same random scenarios. It varies the settings in their typical ranges, \
-starts at the defaults, or in the middle of a range that excludes them, and minimises one number. For --objective both this is the sum of:
+starts at the defaults, or in the middle of a range that excludes them, and minimises one number. For --objective \
+both this is the sum of:
   - the weighted mean of the collision shares in the spaces
   - the shares of drives in `traffic` with a collision, with unnecessary hard braking (above 4 m/s2, of which less \
 than 3 m/s2 had a cause), and in which the vehicle is left behind

@@ -17,7 +17,6 @@ use crumple_evidence::{
     CertificateReport, CountProgress, CountTally, RateConfig, RateFolderError, RatePlan, SampleSizeError, report_json,
     required_runs, shipped_kernels,
 };
-use crumple_store::shard::ShardId;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::ScenarioSpace;
@@ -77,7 +76,6 @@ the data, from --resamples of the episodes (docs/fitting.md).
 Examples:
   crumple verify rate --controller shield:policy --space paper --runs 138149 --confidence 0.999999
   crumple verify rate --controller policy --rate-below 1e-4 --failures 3
-  crumple verify rate --controller policy --runs 1000000 --shard 3/8 --out shards/3
   crumple verify rate --controller policy --space high-risk --rare")]
 struct RateCommand {
     /// Controller of the vehicles under test (see `crumple list controllers`), or its file
@@ -129,14 +127,9 @@ struct RateCommand {
     /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
-    /// Run only shard I of N: a range of the blocks of runs (runs/100, at most 1000; above 100 000 000 runs, 10 000);
-    /// `crumple merge` combines shards and certifies
-    #[arg(long, value_name = "I/N", conflicts_with = "rare")]
-    shard: Option<ShardId>,
-    /// Folder for registration, progress and certificate [default: crumple-rate; for a shard,
-    /// crumple-rate-shard-I-of-N]
-    #[arg(long, value_name = "DIR")]
-    out: Option<PathBuf>,
+    /// Folder for registration, progress and certificate
+    #[arg(long, value_name = "DIR", default_value = "crumple-rate")]
+    out: PathBuf,
     /// Resume an interrupted count or estimate, or print a complete one
     #[arg(long)]
     resume: bool,
@@ -200,7 +193,7 @@ impl RateCommand {
                 "{name}: requires --rare; a count only distinguishes runs with and without a collision"
             )));
         }
-        let (is_comparison, out) = (self.against.is_some(), self.out_folder());
+        let (is_comparison, out) = (self.against.is_some(), self.out);
         let plan = RatePlan::new(RateConfig {
             second_controller: self.against,
             seed: self.seed,
@@ -210,22 +203,9 @@ impl RateCommand {
         })?
         .with_resampling(self.resamples.unwrap_or(200), self.resample_runs.unwrap_or(500));
         output::note_nothing_to_resume(self.resume, &out, quiet);
-        let registered = || output::note(&format!("registered as {}", plan.registration().digest()), quiet);
-        let note_resume = || interrupt::set_resume_message("the counts so far are in", &out, quiet);
-        if let Some(shard) = self.shard {
-            let mut part = plan.register_shard_in(shard, &out, self.resume)?;
-            registered();
-            note_resume();
-            let bar = progress::run_bar("counting", part.run_count(), quiet);
-            progress::show(&bar, |observer| part.count(observer))?;
-            let message = format!("{}: shard {shard}; `crumple merge` combines the shards\n", out.display());
-            let report = CountReport { shard: Some(shard), ..CountReport::new(part.tally(), &out) };
-            let words = || format!("{}{message}", tally_line(is_comparison, part.tally()));
-            return output::print_result(self.format, &report, words);
-        }
         let mut count = plan.register_in(&out, self.resume)?;
-        registered();
-        note_resume();
+        output::note(&format!("registered as {}", plan.registration().digest()), quiet);
+        interrupt::set_resume_message("the counts so far are in", &out, quiet);
         let bar = progress::run_bar("counting", runs, quiet);
         let certificate = count.certify(&Listener(|done: &CountProgress| bar.set_position(done.runs)));
         bar.finish_and_clear();
@@ -281,8 +261,8 @@ impl RateCommand {
             },
         };
         let resamples = self.resamples.unwrap_or(80);
-        output::note_nothing_to_resume(self.resume, &self.out_folder(), quiet);
-        rare::estimate(&plan, resamples, &self.out_folder(), self.resume, self.format, quiet)
+        output::note_nothing_to_resume(self.resume, &self.out, quiet);
+        rare::estimate(&plan, resamples, &self.out, self.resume, self.format, quiet)
     }
 
     /// Checks that the scenario space can be resampled, if the user asks for resamples.
@@ -303,26 +283,20 @@ impl RateCommand {
         }
         Ok(())
     }
-
-    fn out_folder(&self) -> PathBuf {
-        args::result_folder(self.out.as_deref(), "crumple-rate", self.shard)
-    }
 }
 
-/// JSON output of a count, with the names that `crumple merge` uses.
+/// JSON output of a count.
 #[derive(Serialize)]
 struct CountReport<'a> {
     registration_sha256: &'a str,
     folder: &'a Path,
-    #[serde(skip_serializing_if = "Option::is_none")]
-    shard: Option<ShardId>,
     runs: u64,
     failures: u64,
     only_first_failed: u64,
     only_second_failed: u64,
     /// Runs without an answer, of the first controller and of the second.
     unanswered: [Option<FailedControllerRuns>; 2],
-    /// Path of the certificate; a shard has none.
+    /// Path of the certificate.
     certificate: Option<&'a Path>,
     /// Bound that the checker accepted, for one controller.
     rate_at_most: Option<f64>,
@@ -336,7 +310,6 @@ impl<'a> CountReport<'a> {
         Self {
             registration_sha256: &tally.registration_sha256,
             folder,
-            shard: None,
             runs: tally.runs,
             failures: tally.failures,
             only_first_failed: tally.only_first_failed,
@@ -350,11 +323,11 @@ impl<'a> CountReport<'a> {
     }
 }
 
-pub(super) fn tally_line(is_comparison: bool, tally: &CountTally) -> String {
+fn tally_line(is_comparison: bool, tally: &CountTally) -> String {
     tally.summary(is_comparison) + "\n"
 }
 
-pub(super) fn certificate_verdict(path: &Path, certificate: &Certificate) -> Result<String, CliError> {
+fn certificate_verdict(path: &Path, certificate: &Certificate) -> Result<String, CliError> {
     verdict_line(&CertificateReport::new(path.display().to_string(), certificate))
 }
 

@@ -1,20 +1,24 @@
-//! `crumple worst-case`: finds the mildest braking of the leader that makes a controller collide.
+//! `crumple worst-case`: finds the mildest braking of the leader, or the mildest sensor fault, that makes a controller
+//! fail.
 
 use std::fmt::Write;
 
-use clap::{Args, value_parser};
+use clap::{Args, ValueEnum, value_parser};
 use serde::Serialize;
 
 use super::artifacts::ArtifactArgs;
 use super::{CliError, args, value_enums};
 use crumple_core::observer::Quiet;
 use crumple_core::quoting::TerminalText;
-use crumple_search::worst_case::{AttackError, AttackMethod, AttackObjective, AttackReport, Envelope, attack};
+use crumple_search::worst_case::{
+    AttackError, AttackMethod, AttackObjective, AttackReport, Envelope, FaultKindResult, MildestFault,
+    SensorAttackResult, SensorFailure, attack, attack_sensors,
+};
 use crumple_store::disk::StagedFiles;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::{NamedController, Outcome, RecordingLevel, Run, RunOptions, simulate};
 
-/// Find the mildest braking of the leader that causes a collision, or the worst impact
+/// Find the mildest braking of the leader, or sensor fault, that makes a controller fail
 #[derive(Args)]
 #[command(after_long_help = "\
 The attack replaces the leader's script: braking only, within --max-brake and --jerk. For the baseline that observes \
@@ -29,13 +33,20 @@ simulation for each step of the scenario and one for each part of the enumeratio
 always scans pulses and ramps (40 for a budget below 400, 112 below 2000, otherwise 864) and, if one collides, makes \
 at most 144 simulations to find milder ones. If the budget is exceeded, the output says so.
 
+--attack sensors searches for the mildest sensor fault instead. Each kind of fault is scaled from none to a limit, \
+which the output states: 20 shares of the limit, then bisection to a thousandth. The mildest fault that causes a \
+collision, and the mildest that causes unnecessary braking (as for `crumple simulate --expect useful`), have the \
+smallest share of their limit. A milder fault between the simulated ones may exist. --out writes the scenario with the \
+mildest fault that causes a collision, or else unnecessary braking.
+
 A margin is the smallest gap or, after a collision at v m/s, minus v²/10. A scenario may have 500 000 vehicles times \
 steps, and all simulations together 20 000 million, which takes some minutes.
 
 Examples:
   crumple worst-case paper-1 --controller baseline
   crumple worst-case paper-1 --controller policy --out worst.toml --plot worst.svg
-  crumple worst-case paper-2 --controller idm --aim severest --max-brake 6 --format json")]
+  crumple worst-case paper-2 --controller idm --aim severest --max-brake 6 --format json
+  crumple worst-case paper-1 --controller policy --attack sensors")]
 pub(super) struct WorstCase {
     /// Built-in scenario (see `crumple list scenarios`) or scenario file
     #[arg(value_name = "SCENARIO")]
@@ -48,34 +59,103 @@ pub(super) struct WorstCase {
     /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]
     estimator: EstimatorKind,
-    /// Objective: least ∫a², least peak, or the fastest impact
-    #[arg(long, value_name = "AIM", default_value = "mildest", value_parser = value_enums::one_of(value_enums::AIMS))]
-    aim: AttackObjective,
+    /// Part of the scenario that the attack varies
+    #[arg(long, value_enum, value_name = "ATTACK", default_value = "braking")]
+    attack: AttackKind,
+    /// Objective: least ∫a², least peak, or the fastest impact [default: mildest]
+    #[arg(long, value_name = "AIM", value_parser = value_enums::one_of(value_enums::AIMS))]
+    aim: Option<AttackObjective>,
     /// Maximum braking of the leader in m/s² [default: its limit on this road]
     #[arg(long, value_name = "A", allow_negative_numbers = true)]
     max_brake: Option<f64>,
-    /// Maximum jerk of the leader in m/s³
-    #[arg(long, value_name = "J", default_value_t = Envelope::DEFAULT_JERK_MPS3, allow_negative_numbers = true)]
-    jerk: f64,
-    /// Maximum number of simulations, 1 to 10 000 000, except for those that are always made (see below)
-    #[arg(long, value_name = "N", default_value_t = 3000, value_parser = value_parser!(u32).range(1..=10_000_000))]
-    budget: u32,
+    /// Maximum jerk of the leader in m/s³ [default: 10]
+    #[arg(long, value_name = "J", allow_negative_numbers = true)]
+    jerk: Option<f64>,
+    /// Maximum number of simulations, 1 to 10 000 000, except for those that are always made (see below) [default:
+    /// 3000]
+    #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..=10_000_000))]
+    budget: Option<u32>,
     #[command(flatten)]
     finding: ArtifactArgs,
 }
 
+/// Object of an attack.
+#[derive(Clone, Copy, PartialEq, ValueEnum)]
+enum AttackKind {
+    /// The braking of the leader
+    Braking,
+    /// Faults of the gap sensors
+    Sensors,
+}
+
+const DEFAULT_BUDGET: u32 = 3000;
+
 impl WorstCase {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
-        if self.jerk.is_nan() || self.jerk <= 0.0 {
-            return Err(CliError::Input(format!("--jerk: must be above 0, found {}", self.jerk)));
+        match self.attack {
+            AttackKind::Braking => self.attack_by_braking(quiet),
+            AttackKind::Sensors => self.attack_sensors(quiet),
         }
+    }
+
+    fn attack_sensors(&self, quiet: bool) -> Result<(), CliError> {
+        let given = [
+            ("--aim", self.aim.is_some()),
+            ("--max-brake", self.max_brake.is_some()),
+            ("--jerk", self.jerk.is_some()),
+            ("--budget", self.budget.is_some()),
+        ];
+        if let Some((option, _)) = given.iter().find(|(_, is_given)| *is_given) {
+            return Err(CliError::Input(format!("{option}: belongs to `--attack braking`, not to `sensors`")));
+        }
+        if self.estimator == EstimatorKind::Truth {
+            return Err(CliError::Input("--estimator: `truth` ignores faults of sensors, so use `kalman`".to_owned()));
+        }
+        let scenario = args::load_scenario(&self.scenario)?;
+        if !scenario.has_vehicle_under_test() {
+            return Err(CliError::Input(format!("{}: no vehicle is under test", self.scenario)));
+        }
+        let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
+        let result = attack_sensors(&scenario, &options, &Quiet)
+            .map_err(|error| CliError::Input(format!("{}: {error}", self.scenario)))?;
+        self.controller.ensure_trusted()?;
+        let report = SensorAttackReport {
+            scenario: &scenario.spec().name,
+            controller: &self.controller.name,
+            mildest_collision: result.mildest(SensorFailure::Collision),
+            mildest_unnecessary_braking: result.mildest(SensorFailure::UnnecessaryBraking),
+            result: &result,
+        };
+        let mut files = StagedFiles::default();
+        match report.mildest_collision.or(report.mildest_unnecessary_braking) {
+            Some(fault) => {
+                let faulty = scenario.edited(|spec| {
+                    spec.name = format!("{}-fault", spec.name.chars().take(190).collect::<String>());
+                    spec.sensors.faults = fault.faults.clone();
+                });
+                let faulty = faulty.map_err(CliError::input)?;
+                let replay = || Ok(simulate(&Run::new(&faulty, options)?, RecordingLevel::Trace));
+                self.finding.stage(&faulty, &self.controller.name, &mut files, replay)?;
+            }
+            None => self.finding.note_nothing_to_write("no fault was found, so there is nothing", quiet),
+        }
+        files.commit()?;
+        self.finding.print_report(&report, describe_sensor_attack)
+    }
+
+    fn attack_by_braking(&self, quiet: bool) -> Result<(), CliError> {
+        let jerk_mps3 = self.jerk.unwrap_or(Envelope::DEFAULT_JERK_MPS3);
+        if jerk_mps3.is_nan() || jerk_mps3 <= 0.0 {
+            return Err(CliError::Input(format!("--jerk: must be above 0, found {jerk_mps3}")));
+        }
+        let (aim, budget) = (self.aim.unwrap_or(AttackObjective::Mildest), self.budget.unwrap_or(DEFAULT_BUDGET));
         let scenario = args::load_scenario(&self.scenario)?;
         let envelope = Envelope {
             max_brake_mps2: self.max_brake.unwrap_or(Envelope::from_scenario(&scenario).max_brake_mps2),
-            jerk_mps3: self.jerk,
+            jerk_mps3,
         };
         let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
-        let result = attack(&scenario, &options, self.aim, envelope, self.budget as usize, &Quiet);
+        let result = attack(&scenario, &options, aim, envelope, budget as usize, &Quiet);
         let result = result.map_err(|error| {
             let place = match error {
                 AttackError::EmptyEnvelope { .. } => "--max-brake",
@@ -95,17 +175,52 @@ impl WorstCase {
         }
         files.commit()?;
         let name = &scenario.spec().name;
-        let report = AttackReport::new(name, &self.controller, self.estimator, self.aim, &result);
-        let is_over_budget = report.evaluations > self.budget as usize;
+        let report = AttackReport::new(name, &self.controller, self.estimator, aim, &result);
+        let is_over_budget = report.evaluations > budget as usize;
         let over_budget_because = is_over_budget.then_some(OVER_BUDGET_REASON);
-        self.finding.print_report(
-            &WorstCaseReport { report, budget: self.budget, is_over_budget, over_budget_because },
-            describe,
-        )
+        self.finding.print_report(&WorstCaseReport { report, budget, is_over_budget, over_budget_because }, describe)
     }
 }
 
 const OVER_BUDGET_REASON: &str = "the method completes its round and always runs its first and last simulations";
+
+#[derive(Serialize)]
+struct SensorAttackReport<'a> {
+    scenario: &'a str,
+    controller: &'a str,
+    mildest_collision: Option<&'a MildestFault>,
+    mildest_unnecessary_braking: Option<&'a MildestFault>,
+    #[serde(flatten)]
+    result: &'a SensorAttackResult,
+}
+
+fn describe_sensor_attack(report: &SensorAttackReport<'_>) -> String {
+    let SensorAttackReport { scenario, controller, result, .. } = report;
+    let mut text = format!("{}: {}, faults of sensors\n", TerminalText(scenario), TerminalText(controller));
+    for (failure, found, happens_anyway) in [
+        ("a collision", report.mildest_collision, result.collides_without_fault),
+        ("unnecessary braking", report.mildest_unnecessary_braking, result.brakes_unnecessarily_without_fault),
+    ] {
+        let _ = match found {
+            _ if happens_anyway => writeln!(text, "  {failure} happens without a further fault"),
+            None => writeln!(text, "  no fault up to its limit causes {failure}"),
+            Some(fault) => {
+                let percent = 100.0 * fault.share;
+                writeln!(text, "  mildest fault that causes {failure}: {}, {percent:.1} % of its limit", fault.kind)
+            }
+        };
+    }
+    let percent = |found: &Option<MildestFault>| {
+        found.as_ref().map_or("-".to_owned(), |fault| format!("{:.1} %", 100.0 * fault.share))
+    };
+    let _ = writeln!(text, "  {:<16} {:<26} {:>11} {:>20}", "fault", "limit", "collision", "unnecessary braking");
+    for FaultKindResult { kind, limit, collision, unnecessary_braking } in &result.kinds {
+        let [collision, braking] = [collision, unnecessary_braking].map(percent);
+        let _ = writeln!(text, "  {kind:<16} {limit:<26} {collision:>11} {braking:>20}");
+    }
+    let _ = writeln!(text, "  mildest faults found; {} simulations", result.evaluations);
+    text
+}
 
 #[derive(Serialize)]
 struct WorstCaseReport {

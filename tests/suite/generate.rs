@@ -102,8 +102,22 @@ pub(crate) fn any_controller() -> impl Strategy<Value = ControllerSpec> {
 
 /// Returns a scenario without noise; reaction and actuator delays stay.
 pub(crate) fn without_noise(scenario: &Scenario) -> Scenario {
-    let quiet = |spec: &mut ScenarioSpec| spec.vehicles.iter_mut().for_each(|v| v.acceleration_noise_mps2 = 0.0);
+    let quiet = |spec: &mut ScenarioSpec| {
+        for vehicle in &mut spec.vehicles {
+            vehicle.acceleration_noise_mps2 = 0.0;
+            if let Driver::Controller(driver) = &mut vehicle.driver {
+                make_average(driver);
+            }
+        }
+    };
     scenario.edited(quiet).expect("still valid")
+}
+
+/// Makes a human driver the average one without glances off the road, so that it draws no random numbers.
+pub(crate) fn make_average(driver: &mut ControllerSpec) {
+    if let ControllerSpec::Human(human) = driver {
+        (human.reaction_shape, human.brake_deviation_mps2, human.glance_per_s) = (0.0, 0.0, 0.0);
+    }
 }
 
 /// Replaces learned drivers, which observe the vehicle behind and round to single precision.

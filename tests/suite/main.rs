@@ -25,6 +25,7 @@ mod fmus;
 mod forgery;
 mod formulas;
 mod generate;
+mod harm;
 mod hostile_names;
 mod invariant;
 mod lanes;
@@ -36,6 +37,7 @@ mod openscenario;
 mod openscenario_import;
 mod paper;
 mod physics;
+mod plants;
 mod policy_files;
 mod printed;
 #[cfg(unix)]

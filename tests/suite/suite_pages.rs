@@ -93,12 +93,12 @@ fn suites_are_evidence_of_an_assessment() {
     };
     let mut asked = config(&["idm", "full-throttle", "policy"]);
     (asked.draws, asked.everyday_draws) = (0, 0);
-    asked.suites = vec![suite("fmvss-127", &["full-throttle", "idm"]), suite("own.toml", &["policy", "idm"])];
+    asked.suites = vec![suite("un-r152", &["full-throttle", "idm"]), suite("own.toml", &["policy", "idm"])];
     let gate = |controller: &str, suite: &str| AssessmentGate::SuitePassed {
         controller: controller.to_owned(),
         suite: suite.to_owned(),
     };
-    asked.gates = vec![gate("idm", "fmvss-127"), gate("full-throttle", "fmvss-127"), gate("policy", "own.toml")];
+    asked.gates = vec![gate("idm", "un-r152"), gate("full-throttle", "un-r152"), gate("policy", "own.toml")];
     let plan = AssessmentPlan::new(asked.clone(), [], folder.path()).unwrap();
     let gather = || {
         let store = EvidenceCache::open(&folder.path().join("kept"), "program", false).unwrap();
@@ -108,9 +108,9 @@ fn suites_are_evidence_of_an_assessment() {
     assert_eq!(found.summary.gates.iter().map(|gate| gate.holds).collect::<Vec<_>>(), [true, false, true]);
     let row = found.summary.claims.iter().find(|row| row.part == "suites").expect("claimed");
     assert!(row.claims.iter().flatten().all(|claim| claim.property == Property::PassesTests));
-    assert!(matches!(row.statuses[0].strength, Strength::Tested { runs } if runs == 64 + 496), "{row:?}");
+    assert!(matches!(row.statuses[0].strength, Strength::Tested { runs } if runs == 21 + 5 * 496), "{row:?}");
     // For failed tests, points of the search do not count.
-    assert_eq!(row.statuses[1].strength, Strength::Refuted { failures: 64, runs: 64 });
+    assert_eq!(row.statuses[1].strength, Strength::Refuted { failures: 21, runs: 21 });
     assert!(row.claims[2].is_none(), "the policy is not tested by it");
     let files = found.files().unwrap();
     let text = |name: &str| String::from_utf8(files.iter().find(|(file, _)| file == name).unwrap().1.clone()).unwrap();
@@ -118,8 +118,8 @@ fn suites_are_evidence_of_an_assessment() {
         assert!(text(name).contains("no certification"), "{name}");
     }
     let junit = text("assessment.junit.xml");
-    assert!(junit.contains("suite fmvss-127") && junit.contains("decelerating-lead: full-throttle"), "{junit}");
-    assert!(text("replay.sh").contains("counterexamples/suites/fmvss-127-stopped-lead-002.toml"));
+    assert!(junit.contains("suite un-r152") && junit.contains("stationary-20: full-throttle"), "{junit}");
+    assert!(text("replay.sh").contains("counterexamples/suites/un-r152-stationary-20-"));
     let is_failed = |file: &str| file.starts_with("counterexamples/suites/") && !file.ends_with("-escape.toml");
     let (_, scenario) = files.iter().find(|(file, _)| is_failed(file)).unwrap();
     fs::write(folder.path().join("failed.toml"), scenario).unwrap();

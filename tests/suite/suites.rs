@@ -425,7 +425,7 @@ fn failures_name_preventing_drivers_and_refusals_their_reason() {
     assert_eq!(stopped.failed_points[0].avoidability.is_avoidable(), Some(true));
     assert!(test("decelerating-lead")[1].verdict.is_passed(), "idm");
     for tested in test("false-activation") {
-        assert!(matches!(&tested.verdict, TestVerdict::Refused { reason } if reason.contains("could not be read")));
+        assert!(matches!(&tested.verdict, TestVerdict::Refused { reason } if reason.contains("ignores the sensors")));
     }
     let alone = run(&suite, &[find_controller("idm")], EstimatorKind::Truth).unwrap();
     assert_eq!(alone.clauses[0].tests[0].controllers[0], test("stopped-lead")[1], "whoever else is tested");
@@ -451,6 +451,12 @@ fn every_situation_is_the_one_that_its_figures_say() {
                     None => value(ParameterKind::TimeGap) * own.speed_mps,
                 };
                 match lead {
+                    LeadManeuver::Ghost => {
+                        let ghost = scenario.spec().sensors.faults.ghost.unwrap();
+                        let reached_s = ghost.gap_m / own.speed_mps;
+                        assert!((reached_s - value(ParameterKind::ClosingTime)).abs() < 1e-12 && closing_mps == 0.0);
+                        assert_eq!((ghost.speed_mps, ghost.duration_s), (0.0, value(ParameterKind::GhostTime)));
+                    }
                     LeadManeuver::Decelerating => {
                         assert!(closing_mps == 0.0 && (gap_m - gap_stated_m()).abs() < 1e-9, "{gap_m}");
                     }
@@ -641,4 +647,17 @@ fn listed_suites_are_shown_as_valid_suites() {
     ] {
         assert_refused(&run_crumple(folder.path(), arguments), message);
     }
+}
+
+/// The baseline brakes for ghosts that are near for long enough, and passes where it reacts to none.
+#[test]
+fn false_activation_is_tested_with_ghosts() {
+    let suite = shipped_suite("fmvss-127");
+    let result = run(&suite, &[find_controller("baseline")], EstimatorKind::Kalman).unwrap();
+    let tested = &result.clauses[1].tests[0].controllers[0];
+    assert!(matches!(tested.verdict, TestVerdict::Braked { max_brake_mps2 } if max_brake_mps2 > 7.0), "{tested:?}");
+    assert_eq!((tested.points, tested.passed_points), (9, 5));
+    let failing: Vec<_> = tested.failed_points.iter().map(|failed| failed.point.as_str()).collect();
+    assert!(failing.contains(&"own speed 80 km/h, closing time 1 s, ghost time 1 s"), "{failing:?}");
+    assert!(!failing.contains(&"own speed 80 km/h, closing time 4 s, ghost time 1 s"), "{failing:?}");
 }

@@ -68,7 +68,8 @@ pub struct CertificateProvenance {
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Assumption {
-    /// Accelerations are held over each step; a vehicle whose speed reaches zero stops there and never reverses.
+    /// Vehicles are point masses. Accelerations are held over each step; a vehicle whose speed reaches zero stops there
+    /// and never reverses.
     ExactMotion,
     /// The leader moves as scripted and reacts to no vehicle.
     ScriptedLeader,
@@ -107,7 +108,8 @@ impl std::fmt::Display for Assumption {
     fn fmt(&self, formatter: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         formatter.write_str(match self {
             Self::ExactMotion => {
-                "accelerations are held over each step, and a vehicle that has stopped does not reverse"
+                "vehicles have the plant `point-mass`: accelerations are held over each step, and a vehicle that has \
+                 stopped does not reverse"
             }
             Self::ScriptedLeader => "the leader moves as scripted and reacts to no vehicle",
             Self::LatchedFollower => "the follower holds its speed until its latched emergency brake fires",

@@ -1,8 +1,5 @@
 //! Plans and folders for tests.
 
-use std::path::Path;
-
-use crumple_store::run_folder::{CompletedRun, RunState, read_state};
 use crumple_world::control::ControllerSpec;
 use crumple_world::measure::Specification;
 use crumple_world::observation::EstimatorKind;
@@ -48,12 +45,5 @@ pub(crate) fn rare_plan(seed: u64, repetitions: usize) -> RarePlan {
         specification: Specification::NoContact,
         seed,
         effort: SplittingConfig { samples: 50, repetitions },
-    }
-}
-
-pub(crate) fn read_completed(folder: &Path) -> CompletedRun {
-    match read_state(folder).unwrap() {
-        RunState::Complete(finished) => finished,
-        other => panic!("{other:?}"),
     }
 }

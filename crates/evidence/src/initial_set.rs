@@ -192,3 +192,22 @@ fn check_leader_limit(limit_mps2: f64, able_mps2: f64, given: &RangesSpec) -> Re
         None => Ok(()),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::scenario::{PlantKind, built_in_scenario};
+
+    #[test]
+    fn other_plants_and_sensor_faults_are_refused() {
+        let paper = built_in_scenario("paper-1").unwrap();
+        let refusal = |scenario: &Scenario| {
+            InitialSet::new(scenario, &BoxSpec::around("paper-1", RangesSpec::default())).err().map(|e| e.to_string())
+        };
+        assert_eq!(refusal(&paper), None);
+        let multi_body = refusal(&paper.with_plant(PlantKind::MultiBody).unwrap()).unwrap();
+        assert!(multi_body.contains("the plant `point-mass`"), "{multi_body}");
+        let faulty = refusal(&paper.edited(|spec| spec.sensors.faults.latency_s = 0.1).unwrap()).unwrap();
+        assert!(faulty.contains("no sensor faults"), "{faulty}");
+    }
+}

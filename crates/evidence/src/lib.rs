@@ -5,7 +5,6 @@
 //! `crumple_verify` checks certificates independently. [`RatePlan`] writes only certificates that it accepts.
 
 mod binding;
-mod binomial;
 mod block;
 mod certificate_report;
 pub mod exposure;
@@ -13,16 +12,14 @@ pub mod fit;
 #[cfg(test)]
 mod fixtures;
 mod initial_set;
-mod interval;
 mod invariant;
 mod kernel;
+mod method_comparison;
 mod paired;
 mod planning;
 pub mod rare;
 mod rate;
 mod rate_folder;
-mod rate_merge;
-mod rate_shard;
 mod reach;
 mod record;
 mod rerun;
@@ -31,15 +28,14 @@ mod script;
 pub use binding::{BindingError, ScenarioMismatch, check_binding, check_covers_scenario, count_omitted_vehicles};
 pub use block::CountedBlock;
 pub use certificate_report::{CertificateReport, CountsStatus, report_json, report_text};
-pub use interval::RateInterval;
+pub use crumple_core::interval::RateInterval;
 pub use invariant::{Defeat, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet, InvariantSpec};
 pub use kernel::{kernel_certificate, shipped_kernels};
+pub use method_comparison::{MethodComparison, MethodPair, MethodRuns, PairedTest};
 pub use paired::DiscordantPairs;
 pub use planning::{SampleSizeError, required_runs};
 pub use rate::{CountProgress, InvalidRate, RateConfig, RateError, RatePlan};
 pub use rate_folder::{RateCount, RateFolderError};
-pub use rate_merge::{MergedCount, PartialCount};
-pub use rate_shard::{COUNT_SHARD_KIND, RateShard};
 pub use reach::{
     BoxSpec, InvalidBox, MAX_BOXES, Partition, RangesSpec, ReachPlan, UndecidedCounts, VolumeShares, checker_file,
 };

@@ -2,8 +2,8 @@
 
 use crumple_verify::rate::MAX_RUNS;
 
-use super::binomial;
 use super::record::upper_bound;
+use crumple_core::binomial;
 
 /// Reason why no number of runs suffices.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]

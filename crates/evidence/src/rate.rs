@@ -12,7 +12,6 @@ use super::exposure::{FailureProbability, RatePerExposure, count_on_resamples};
 use super::record::{CountRecord, CountTally, range_len};
 use crumple_core::digest::sha256;
 use crumple_core::observer::{Observer, ProgressCounter, Quiet, RunProgress, Stopped};
-use crumple_store::shard::{ShardId, TooManyShards};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::InvalidField;
 use crumple_world::scenario::space::{ScenarioSpace, file};
@@ -28,9 +27,6 @@ const MAX_BLOCKS: u64 = 1000;
 const LARGE_COUNT_RUNS: u64 = 100_000_000;
 /// Maximum number of blocks of a larger count: the limit of certificates.
 const MAX_LARGE_COUNT_BLOCKS: u64 = crumple_verify::rate::MAX_BLOCKS;
-
-/// Name of the parts of a count in errors.
-pub(super) const BLOCKS_NAME: &str = "blocks of runs";
 
 /// Progress of a count.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -251,37 +247,28 @@ impl RatePlan {
     /// # Errors
     /// [`RateError`] names the failed run; `tally` is then unchanged.
     pub fn count_batch(&self, tally: &mut CountTally) -> Result<(), RateError> {
-        self.count_batch_in(&(0..self.block_count()), tally, &Quiet)
+        self.count_batch_observed(tally, &Quiet)
     }
 
-    /// Counts like [`Self::count_batch`], for a tally of the consecutive blocks `part`. After every thousand runs,
-    /// `observer` receives the counts that `tally` had before this call.
+    /// Counts like [`Self::count_batch`]. After every thousand runs, `observer` receives the counts that `tally` had
+    /// before this call.
     ///
     /// # Errors
     /// [`RateError`] names the failed run, or is [`RateError::Stopped`]; `tally` is then unchanged.
-    pub(super) fn count_batch_in(
+    pub(super) fn count_batch_observed(
         &self,
-        part: &Range<u64>,
         tally: &mut CountTally,
         observer: &dyn Observer<CountProgress>,
     ) -> Result<(), RateError> {
         let so_far = self.progress(tally);
-        let first = part.start + tally.blocks.len() as u64;
+        let first = tally.blocks.len() as u64;
         let together = (BATCH_SIZE / self.record.block_runs()).max(1);
-        let blocks = first..first.saturating_add(together).min(part.end);
+        let blocks = first..first.saturating_add(together).min(self.block_count());
         let counted = self.count_runs(self.record.run_range(blocks.clone()), &|| observer.notify(&so_far))?;
         for (index, block) in blocks.zip(counted) {
             tally.add_block(range_len(&self.run_range(index)), block);
         }
         Ok(())
-    }
-
-    /// Returns the blocks of a shard.
-    ///
-    /// # Errors
-    /// [`TooManyShards`] if there are fewer blocks than shards.
-    pub fn shard_blocks(&self, shard: ShardId) -> Result<Range<u64>, TooManyShards> {
-        shard.range(self.block_count(), BLOCKS_NAME)
     }
 
     pub(super) fn progress(&self, tally: &CountTally) -> CountProgress {

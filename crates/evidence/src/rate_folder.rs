@@ -1,20 +1,18 @@
 //! A count in a run folder: `registration.json` before the first run, `progress.json` every second, `certificate.json`
 //! once the checker accepts it, and the manifest `work.json`.
 
-use std::ops::Range;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crumple_verify::{Certificate, Rejection, check};
 use serde::Serialize;
 
-use super::record::{CountRecord, CountTally, range_len};
+use super::record::{CountRecord, CountTally};
 use super::{CountProgress, RateError, RatePlan};
 use crumple_core::observer::Observer;
 use crumple_store::difference;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::{RunFolder, RunFolderError, RunFolderOptions};
-use crumple_store::shard::TooManyShards;
 
 /// Checkpoint interval.
 const WRITE_INTERVAL: Duration = Duration::from_secs(1);
@@ -32,9 +30,6 @@ pub enum RateFolderError {
     /// A run failed, or the observer stopped the count.
     #[error(transparent)]
     Run(#[from] RateError),
-    /// More shards than blocks of runs.
-    #[error(transparent)]
-    Shards(#[from] TooManyShards),
     /// The checker rejects the certificate.
     #[error("the counts in {} prove nothing: {rejection} ({counts})", path.display())]
     Rejected {
@@ -50,17 +45,12 @@ pub enum RateFolderError {
 /// A count that is registered in a folder.
 pub struct RateCount<'a> {
     run_folder: RunFolder,
-    block_counter: BlockCounter<'a>,
-}
-
-pub(super) struct BlockCounter<'a> {
     plan: &'a RatePlan,
-    blocks: Range<u64>,
-    pub(super) tally: CountTally,
+    tally: CountTally,
 }
 
 const REGISTRATION_FILE: &str = "registration.json";
-pub(super) const PROGRESS_FILE: &str = "progress.json";
+const PROGRESS_FILE: &str = "progress.json";
 const CERTIFICATE_FILE: &str = "certificate.json";
 
 impl RatePlan {
@@ -70,8 +60,20 @@ impl RatePlan {
     /// [`RateFolderError`] if the folder cannot be used, or holds the count of another plan or build.
     pub fn register_in(&self, folder: &Path, resume: bool) -> Result<RateCount<'_>, RateFolderError> {
         let work = self.record().register_in(folder, resume)?;
-        let counting = BlockCounter::load(self, 0..self.block_count(), &work)?;
-        Ok(RateCount { run_folder: work, block_counter: counting })
+        let tally = match work.read(PROGRESS_FILE)? {
+            None => self.empty_tally(),
+            Some(bytes) => {
+                let tally: CountTally = serde_json::from_slice(&bytes)
+                    .map_err(|problem| RunFolderError::damaged(&work.path(PROGRESS_FILE), problem.to_string()))?;
+                if !self.record().is_consistent(&tally) {
+                    return Err(
+                        RunFolderError::damaged(&work.path(PROGRESS_FILE), "belongs to another registration").into()
+                    );
+                }
+                tally
+            }
+        };
+        Ok(RateCount { run_folder: work, plan: self, tally })
     }
 }
 
@@ -113,69 +115,6 @@ impl CountRecord {
             }
         }
     }
-
-    /// Writes counts from elsewhere into a folder, byte for byte as an undivided count would. Leaves a folder with
-    /// these counts unchanged.
-    ///
-    /// # Errors
-    /// [`RateFolderError`] if the folder cannot be used or has other content, or if the certificate is rejected.
-    pub(super) fn write_in(
-        &self,
-        folder: &Path,
-        tally: &CountTally,
-    ) -> Result<(PathBuf, Certificate), RateFolderError> {
-        let work = self.register_in(folder, true)?;
-        let path = work.path(PROGRESS_FILE);
-        if work.is_complete() && work.read_required(PROGRESS_FILE)? != to_json(&path, tally)?.into_bytes() {
-            return Err(RunFolderError::damaged(
-                &path,
-                "the folder holds a count of the same registration with other results",
-            )
-            .into());
-        }
-        Ok((work.path(CERTIFICATE_FILE), self.finish_in(&work, tally)?))
-    }
-}
-
-impl<'a> BlockCounter<'a> {
-    pub(super) fn load(plan: &'a RatePlan, blocks: Range<u64>, work: &RunFolder) -> Result<Self, RateFolderError> {
-        let tally = match work.read(PROGRESS_FILE)? {
-            None => plan.empty_tally(),
-            Some(bytes) => {
-                let tally: CountTally = serde_json::from_slice(&bytes)
-                    .map_err(|problem| RunFolderError::damaged(&work.path(PROGRESS_FILE), problem.to_string()))?;
-                if !plan.record().is_consistent(&blocks, &tally) {
-                    return Err(
-                        RunFolderError::damaged(&work.path(PROGRESS_FILE), "belongs to another registration").into()
-                    );
-                }
-                tally
-            }
-        };
-        Ok(Self { plan, blocks, tally })
-    }
-
-    pub(super) fn run_count(&self) -> u64 {
-        range_len(&self.plan.record().run_range(self.blocks.clone()))
-    }
-
-    pub(super) fn count(
-        &mut self,
-        work: &RunFolder,
-        observer: &dyn Observer<CountProgress>,
-    ) -> Result<(), RateFolderError> {
-        let path = work.path(PROGRESS_FILE);
-        let mut written = Instant::now();
-        while (self.tally.blocks.len() as u64) < range_len(&self.blocks) {
-            self.plan.count_batch_in(&self.blocks, &mut self.tally, observer)?;
-            if written.elapsed() > WRITE_INTERVAL {
-                work.write(PROGRESS_FILE, to_json(&path, &self.tally)?)?;
-                written = Instant::now();
-            }
-        }
-        observer.notify(&self.plan.progress(&self.tally)).map_err(RateError::from)?;
-        Ok(work.write(PROGRESS_FILE, to_json(&path, &self.tally)?)?)
-    }
 }
 
 impl RateCount<'_> {
@@ -185,14 +124,23 @@ impl RateCount<'_> {
     /// [`RateFolderError`] if a run fails, a file cannot be written, the certificate is rejected, or the count is
     /// stopped.
     pub fn certify(&mut self, observer: &dyn Observer<CountProgress>) -> Result<Certificate, RateFolderError> {
-        self.block_counter.count(&self.run_folder, observer)?;
-        self.block_counter.plan.record().finish_in(&self.run_folder, self.tally())
+        let path = self.run_folder.path(PROGRESS_FILE);
+        let mut written = Instant::now();
+        while (self.tally.blocks.len() as u64) < self.plan.block_count() {
+            self.plan.count_batch_observed(&mut self.tally, observer)?;
+            if written.elapsed() > WRITE_INTERVAL {
+                self.run_folder.write(PROGRESS_FILE, to_json(&path, &self.tally)?)?;
+                written = Instant::now();
+            }
+        }
+        observer.notify(&self.plan.progress(&self.tally)).map_err(RateError::from)?;
+        self.plan.record().finish_in(&self.run_folder, &self.tally)
     }
 
     /// Returns the tally so far.
     #[must_use]
     pub fn tally(&self) -> &CountTally {
-        &self.block_counter.tally
+        &self.tally
     }
 
     /// Returns the path of the certificate.
@@ -202,7 +150,7 @@ impl RateCount<'_> {
     }
 }
 
-pub(super) fn to_json(path: &Path, value: &impl Serialize) -> Result<String, RunFolderError> {
+fn to_json(path: &Path, value: &impl Serialize) -> Result<String, RunFolderError> {
     let text = serde_json::to_string_pretty(value).map_err(|error| DiskError::at(path)(error.into()))?;
     Ok(text + "\n")
 }
@@ -221,9 +169,9 @@ mod tests {
     fn interrupted_folder(plan: &RatePlan, change: impl FnOnce(&mut CountTally)) -> tempfile::TempDir {
         let folder = tempfile::tempdir().unwrap();
         let mut count = plan.register_in(folder.path(), false).unwrap();
-        plan.count_batch(&mut count.block_counter.tally).unwrap();
+        plan.count_batch(&mut count.tally).unwrap();
         assert!(count.tally().runs < 1200, "one call does not count them all");
-        change(&mut count.block_counter.tally);
+        change(&mut count.tally);
         count.run_folder.write(PROGRESS_FILE, to_json(Path::new(PROGRESS_FILE), count.tally()).unwrap()).unwrap();
         folder
     }

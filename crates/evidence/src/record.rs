@@ -2,18 +2,17 @@
 
 use std::ops::Range;
 
-use crumple_verify::rate::{MAX_BLOCKS, MAX_RUNS, binomial_tail_upper_bound};
+use crumple_verify::rate::binomial_tail_upper_bound;
 use crumple_verify::{Certificate, ComparisonClaim, RateClaim, Registration, Statement};
 use serde::{Deserialize, Serialize};
 
-use super::{CountedBlock, binomial};
-use crumple_core::digest::sha256;
+use super::CountedBlock;
+use crumple_core::binomial;
 use crumple_search::worst_case::build_certificate;
 use crumple_world::sim::FailedControllerRuns;
 
-/// Registration of a count, and its space as a file: sufficient for the certificate of counts from any machine.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-#[serde(deny_unknown_fields)]
+/// Registration of a count, and its space as a file.
+#[derive(Debug, Clone, PartialEq)]
 pub struct CountRecord {
     pub(super) registration: Registration,
     pub(super) space_text: String,
@@ -88,20 +87,6 @@ impl CountTally {
 }
 
 impl CountRecord {
-    /// Returns the problem of a record from a file; `None` if it is valid.
-    pub(super) fn problem(&self) -> Option<&'static str> {
-        let Registration { configuration, runs, confidence, block_runs } = &self.registration;
-        let is_count = (1..=MAX_RUNS).contains(runs) && *confidence > 0.5 && *confidence < 1.0;
-        let has_blocks = block_runs.is_some_and(|block_runs| block_runs > 0 && runs.div_ceil(block_runs) <= MAX_BLOCKS);
-        let space = configuration.get("space_sha256");
-        match () {
-            () if !is_count => Some("registration: runs or confidence are outside the allowed range"),
-            () if !has_blocks => Some("registration.block_runs: is not an allowed block length"),
-            () if space != Some(&sha256(&self.space_text)) => Some("space_text: differs from the registered space"),
-            () => None,
-        }
-    }
-
     /// True if two controllers are compared.
     #[must_use]
     pub fn is_comparison(&self) -> bool {
@@ -129,9 +114,9 @@ impl CountRecord {
         CountTally { registration_sha256: self.registration.digest(), ..CountTally::default() }
     }
 
-    /// True if a tally is of the first of some blocks, adds up, and has no more runs than there are.
+    /// True if a tally is of the first blocks, adds up, and has no more runs than there are.
     #[must_use]
-    pub(super) fn is_consistent(&self, blocks: &Range<u64>, tally: &CountTally) -> bool {
+    pub(super) fn is_consistent(&self, tally: &CountTally) -> bool {
         let counted = tally.blocks.len() as u64;
         let runs_of = |block: u64| range_len(&self.run_range(block..block.saturating_add(1)));
         let may_be = |(block, counted): (u64, &CountedBlock)| {
@@ -148,10 +133,10 @@ impl CountRecord {
             is_hash && is_known && sum <= runs_of(block) && (self.is_comparison() || first.saturating_add(*second) == 0)
         };
         let sum = |of: fn(&CountedBlock) -> u64| tally.blocks.iter().map(of).fold(0, u64::saturating_add);
-        counted <= blocks.end.saturating_sub(blocks.start)
+        counted <= self.block_count()
             && tally.registration_sha256 == self.registration.digest()
-            && tally.runs == range_len(&self.run_range(blocks.start..blocks.start + counted))
-            && (blocks.start..).zip(&tally.blocks).all(may_be)
+            && tally.runs == range_len(&self.run_range(0..counted))
+            && (0..).zip(&tally.blocks).all(may_be)
             && sum(|block| block.failures) == tally.failures
             && sum(|block| block.only_first_failed) == tally.only_first_failed
             && sum(|block| block.only_second_failed) == tally.only_second_failed
@@ -194,13 +179,6 @@ impl CountRecord {
     #[must_use]
     pub fn rate_at_most(&self, failures: u64) -> f64 {
         upper_bound(failures, self.registration.runs, self.registration.confidence)
-    }
-
-    /// Returns the bound without asking the checker, whose time grows with the number of failures; for results without
-    /// certificate.
-    #[must_use]
-    pub(super) fn uncertified_rate_at_most(&self, failures: u64) -> f64 {
-        binomial::clopper_pearson_upper(failures, self.registration.runs, 1.0 - self.registration.confidence)
     }
 }
 

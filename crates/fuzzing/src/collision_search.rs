@@ -6,10 +6,8 @@ use std::{fs, io};
 
 use super::{Crumple, RUN_ORACLES, TestCase, TestedController, Violation, behaviour};
 use crumple_testing::generator::with_compatible_step;
-use crumple_world::control::FmuProblem;
 use crumple_world::scenario::InvalidField;
-use crumple_world::scenario::controller_file::ControllerFileError;
-use crumple_world::sim::{Run, RunError, SimulationResult, UnknownController};
+use crumple_world::sim::{RefusedController, Run, RunError, SimulationResult, UnknownController};
 
 /// Interval, in inputs, at which all oracles are checked even without new features: they take many times as long as a
 /// run.
@@ -32,15 +30,9 @@ pub enum CollisionSearchError {
     /// The controller does not exist.
     #[error(transparent)]
     Controller(#[from] UnknownController),
-    /// The controller runs in a separate process, which this search does not start.
-    #[error(
-        "`{controller}` is a process or an FMU, and the fuzz target `scenario` starts no processes: it takes built-in \
-         controllers, policies and networks. `crumple falsify` searches for collisions of processes and FMUs"
-    )]
-    OtherProcess {
-        /// Name of the controller.
-        controller: String,
-    },
+    /// The controller contradicted itself, or can no longer be started.
+    #[error(transparent)]
+    Refused(#[from] RefusedController),
     /// The controller has a decision interval at which no scenario can run.
     #[error("`{controller}` has a decision interval of {interval_s} s, which fits the step of no scenario: {reason}")]
     Interval {
@@ -64,8 +56,8 @@ impl CollisionSearch {
     /// is given.
     ///
     /// # Errors
-    /// [`CollisionSearchError`] if the controller does not exist, is a process or an FMU, or has an unsuitable
-    /// interval, or if the folder cannot be created.
+    /// [`CollisionSearchError`] if the controller does not exist or has an unsuitable interval, or if the folder cannot
+    /// be created.
     pub fn new(controller: &str, collisions: Option<&Path>) -> Result<Self, CollisionSearchError> {
         collisions.map_or(Ok(()), fs::create_dir_all)?;
         Ok(Self {
@@ -92,10 +84,12 @@ impl CollisionSearch {
     }
 
     /// Runs an input, saves its collision and returns the features of the run; none if the controller refuses the
-    /// scenario, for example a shield with an unsuitable vehicle. Checks all oracles with the first input.
+    /// scenario, for example a shield with an unsuitable vehicle. Checks all oracles with the first input; with a
+    /// process or an FMU, only those of a single run, because the others take too many queries.
     ///
     /// # Errors
-    /// [`CollisionSearchError`] for a violated invariant or a collision that cannot be saved.
+    /// [`CollisionSearchError`] for a violated invariant, a process that contradicts itself, or a collision that cannot
+    /// be saved.
     pub fn run_input(&self, bytes: &[u8]) -> Result<Vec<usize>, CollisionSearchError> {
         let test_case = self.test_case(bytes);
         let options = test_case.setup.options(test_case.scenario.spec().step_s);
@@ -104,12 +98,14 @@ impl CollisionSearch {
             return Ok(Vec::new());
         }
         let result = test_case.check_each(&RUN_ORACLES, &Crumple)?;
+        test_case.setup.controller.ensure_trusted()?;
         let features = behaviour::extract_features(&test_case, &result);
         let is_new =
             |&feature: &usize| self.seen_features.get(feature).is_some_and(|seen| !seen.swap(true, Ordering::Relaxed));
         // Counts without short-circuiting, so that every feature is marked as seen.
         let news = features.iter().filter(|feature| is_new(feature)).count();
-        if news > 0 || self.input_count.fetch_add(1, Ordering::Relaxed).is_multiple_of(FULL_CHECK_INTERVAL) {
+        let is_due = news > 0 || self.input_count.fetch_add(1, Ordering::Relaxed).is_multiple_of(FULL_CHECK_INTERVAL);
+        if is_due && !test_case.setup.controller.is_process() {
             test_case.check_all(&Crumple)?;
         }
         if let Some(collisions) = &self.collisions {
@@ -133,17 +129,7 @@ fn write_collision(folder: &Path, test_case: &TestCase, result: &SimulationResul
 }
 
 fn find_controller(name: &str) -> Result<TestedController, CollisionSearchError> {
-    let other_process = || CollisionSearchError::OtherProcess { controller: name.to_owned() };
-    let controller = TestedController::from_name(name).map_err(|error| match error {
-        // A build without processes refuses FMUs with another error, which has no advice.
-        UnknownController::File(ControllerFileError::Fmu { problem: FmuProblem::ProcessFeatureDisabled, .. }) => {
-            other_process()
-        }
-        other => other.into(),
-    })?;
-    if controller.is_process() {
-        return Err(other_process());
-    }
+    let controller = TestedController::from_name(name)?;
     if let Some(interval_s) = controller.interval_s() {
         with_compatible_step(&TestCase::from_bytes(&[]).scenario, interval_s).map_err(|reason| {
             CollisionSearchError::Interval { controller: name.to_owned(), interval_s, reason: Box::new(reason) }

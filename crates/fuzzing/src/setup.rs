@@ -10,7 +10,9 @@ use crumple_core::digest::sha256;
 use crumple_testing::generator::{Choices, DRIVER_BYTES, controller_from_bytes};
 use crumple_world::control::{AebSettings, Controller, ControllerFailure, ControllerSource, ControllerSpec, Ego};
 use crumple_world::observation::{EstimatorKind, Observation};
-use crumple_world::sim::{AfterContact, ControllerKind, NamedController, RunOptions, UnknownController};
+use crumple_world::sim::{
+    AfterContact, ControllerKind, NamedController, RefusedController, RunOptions, UnknownController,
+};
 
 /// Bytes of a setup.
 pub const SETUP_BYTES: usize = 5 + DRIVER_BYTES;
@@ -129,12 +131,12 @@ impl RunSetup {
 }
 
 impl TestedController {
-    /// Finds a controller by its name on the command line.
+    /// Finds a controller by its name on the command line, and starts the program of a process or an FMU as a trial.
     ///
     /// # Errors
-    /// [`UnknownController`] if there is none.
+    /// [`UnknownController`] if there is none, or it does not start.
     pub fn from_name(name: &str) -> Result<Self, UnknownController> {
-        let found = NamedController::find_for_user(name, Path::new(""))?;
+        let found = NamedController::find_and_try(name, Path::new(""))?;
         Ok(match found.kind {
             ControllerKind::BuiltIn(spec) => Self::BuiltIn(spec),
             _ => Self::Named(ControllerByName(found)),
@@ -149,6 +151,11 @@ impl TestedController {
             Self::Named(ControllerByName(found)) => found.kind.interval_s(),
             Self::FullObservation(_) => None,
         }
+    }
+
+    /// Fails if a process contradicted itself or can no longer be started.
+    pub(crate) fn ensure_trusted(&self) -> Result<(), RefusedController> {
+        if let Self::Named(ControllerByName(found)) = self { found.ensure_trusted() } else { Ok(()) }
     }
 
     /// True if the controller runs in a separate process, also behind shields.

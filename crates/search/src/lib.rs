@@ -2,8 +2,11 @@
 //!
 //! | module | content |
 //! |---|---|
+//! | [`confirmation`] | replays of counterexamples and escapes with the multi-body plant |
 //! | [`worst_case`] | convex programs: avoidability, least necessary braking, worst-case profiles; certificates |
 //! | [`falsify`] | search methods, campaigns, counterexamples, and a public benchmark of search methods |
+#![cfg_attr(doctest, doc = include_str!("../../../docs/optimisers.md"))]
 
+pub mod confirmation;
 pub mod falsify;
 pub mod worst_case;

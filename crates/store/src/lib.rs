@@ -1,4 +1,4 @@
-//! Run folders: atomic files, a manifest of every file, a lock, and shards of divided runs.
+//! Run folders: atomic files, a manifest of every file, and a lock.
 //!
 //! | module | content |
 //! |---|---|
@@ -6,10 +6,8 @@
 //! | [`disk`] | atomic files: a reader finds the whole file or none |
 //! | [`program`] | the identity of the running program, which unfinished runs record |
 //! | [`run_folder`] | run folders with a manifest: an error names a file that was changed after it was written |
-//! | [`shard`] | one of N parts of a run, for several machines |
 
 pub mod difference;
 pub mod disk;
 pub mod program;
 pub mod run_folder;
-pub mod shard;

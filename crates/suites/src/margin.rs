@@ -176,8 +176,8 @@ fn evaluate(
     let mut seen = driven.run_scenarios(criterion, &valid).into_iter();
     let found = |is_valid: bool| match is_valid.then(|| seen.next()).flatten().map(|seen| seen.verdict) {
         Some(TestVerdict::Passed) => Ok(()),
-        Some(TestVerdict::Failed { .. } | TestVerdict::ControllerFailed { .. }) => Err(SweepFailure::Fails),
         Some(TestVerdict::Refused { .. }) | None => Err(SweepFailure::Refused),
+        Some(_) => Err(SweepFailure::Fails),
     };
     scenarios.iter().map(Option::is_some).map(found).collect()
 }

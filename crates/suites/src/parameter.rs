@@ -26,6 +26,8 @@ pub enum ParameterKind {
     Deceleration,
     /// Time to reach that deceleration.
     Ramp,
+    /// Time for which the sensor reports an object that does not exist.
+    GhostTime,
 }
 
 /// Unit that documents use.
@@ -135,12 +137,23 @@ pub struct TestParameters {
     /// Time to reach that deceleration.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub ramp: Option<TestParameter>,
+    /// Time for which the sensor reports an object that does not exist.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ghost_time: Option<TestParameter>,
 }
 
 impl ParameterKind {
     /// All parameters, in the order of the values of a point.
-    pub const ALL: [Self; 7] =
-        [Self::OwnSpeed, Self::LeadSpeed, Self::ClosingTime, Self::Gap, Self::TimeGap, Self::Deceleration, Self::Ramp];
+    pub const ALL: [Self; 8] = [
+        Self::OwnSpeed,
+        Self::LeadSpeed,
+        Self::ClosingTime,
+        Self::Gap,
+        Self::TimeGap,
+        Self::Deceleration,
+        Self::Ramp,
+        Self::GhostTime,
+    ];
 
     /// Returns the name in files.
     #[must_use]
@@ -153,6 +166,7 @@ impl ParameterKind {
             Self::TimeGap => "time_gap",
             Self::Deceleration => "deceleration",
             Self::Ramp => "ramp",
+            Self::GhostTime => "ghost_time",
         }
     }
 
@@ -167,6 +181,7 @@ impl ParameterKind {
             Self::TimeGap => "time gap",
             Self::Deceleration => "lead deceleration",
             Self::Ramp => "ramp",
+            Self::GhostTime => "ghost time",
         }
     }
 
@@ -174,7 +189,7 @@ impl ParameterKind {
     pub(crate) fn allowed_units(self) -> &'static [ParameterUnit] {
         match self {
             Self::OwnSpeed | Self::LeadSpeed => &[ParameterUnit::Kmph, ParameterUnit::Mps],
-            Self::ClosingTime | Self::TimeGap | Self::Ramp => &[ParameterUnit::Second],
+            Self::ClosingTime | Self::TimeGap | Self::Ramp | Self::GhostTime => &[ParameterUnit::Second],
             Self::Gap => &[ParameterUnit::Metre],
             Self::Deceleration => &[ParameterUnit::Mps2, ParameterUnit::Gravity],
         }
@@ -188,7 +203,7 @@ impl ParameterKind {
             Self::ClosingTime | Self::TimeGap => [0.1, 60.0],
             Self::Gap => [0.1, 1000.0],
             Self::Deceleration => [0.1, 30.0],
-            Self::Ramp => [0.0, 60.0],
+            Self::Ramp | Self::GhostTime => [0.0, 60.0],
         }
     }
 }
@@ -242,6 +257,7 @@ impl TestParameters {
             ParameterKind::TimeGap => self.time_gap.as_ref(),
             ParameterKind::Deceleration => self.deceleration.as_ref(),
             ParameterKind::Ramp => self.ramp.as_ref(),
+            ParameterKind::GhostTime => self.ghost_time.as_ref(),
         }
     }
 

@@ -106,6 +106,12 @@ pub struct FailedPoint {
     /// Avoidability of the collision with knowledge of the future.
     #[serde(flatten)]
     pub avoidability: Avoidability,
+    /// True if the point also fails with the multi-body plant; absent if the controller refuses the plant.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub survives_multi_body: Option<bool>,
+    /// True if the escape has no collision with the multi-body plant either; absent without an escape.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub escape_survives_multi_body: Option<bool>,
     /// Scenario in which a script in place of the vehicle under test avoids the collision, if it is avoidable.
     #[serde(skip)]
     pub escape: Option<Scenario>,
@@ -128,6 +134,11 @@ pub enum TestVerdict {
         time_s: f64,
         /// Impact speed, in m/s.
         impact_speed_mps: f64,
+    },
+    /// Braking of 0.25 g or more although nothing is in the way.
+    Braked {
+        /// Hardest braking, in m/s².
+        max_brake_mps2: f64,
     },
     /// The controller gave no valid answer.
     ControllerFailed {
@@ -176,7 +187,7 @@ impl TestVerdict {
     /// True if the test was run and did not pass.
     #[must_use]
     pub fn is_failure(&self) -> bool {
-        matches!(self, Self::Failed { .. } | Self::ControllerFailed { .. })
+        matches!(self, Self::Failed { .. } | Self::Braked { .. } | Self::ControllerFailed { .. })
     }
 
     /// Returns the time and the reason of a controller failure; `None` if the controller answered.
@@ -201,13 +212,14 @@ impl TestVerdict {
         }
     }
 
-    /// Returns a sort key: collisions by impact speed, then controller failures, then refusals.
+    /// Returns a sort key: collisions by impact speed, then unnecessary braking, controller failures, then refusals.
     fn severity_key(&self) -> (u8, f64) {
         let class = match self {
             Self::Passed => 0,
             Self::Refused { .. } => 1,
             Self::ControllerFailed { .. } => 2,
-            Self::Failed { .. } => 3,
+            Self::Braked { .. } => 3,
+            Self::Failed { .. } => 4,
         };
         (class, self.impact_speed_mps())
     }

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 
+use crumple_world::control::STANDARD_GRAVITY_MPS2;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{InvalidField, Scenario};
 use crumple_world::sim::{
@@ -15,7 +16,11 @@ use super::prevention::{Preventability, assess_preventability};
 use super::result::{ClauseResult, ControllerResult, DISCLAIMER, FailedPoint, SuiteResult, TestResult, TestVerdict};
 use super::spec::{ClauseSpec, LeadManeuver, SuiteSpec, TestSpec};
 use super::worst_in_tolerance::{WorstInTolerance, WorstPoint, find_worst};
+use crumple_search::confirmation::CONFIRMING_PLANT;
 use crumple_search::falsify::counterexample::AvoidabilityAnalysis;
+
+/// Deceleration from which braking without cause fails a test, in m/s²: 0.25 g.
+const MIN_FALSE_BRAKE_MPS2: f64 = 0.25 * STANDARD_GRAVITY_MPS2;
 
 /// Reason why a suite did not run to its end.
 #[derive(Debug, thiserror::Error)]
@@ -161,7 +166,7 @@ impl<'t> TestGrid<'t> {
             min_gap_m: gaps.reduce(f64::min),
             margins: self.criterion.map(|criterion| find_margins(self.test, criterion, &driven)).unwrap_or_default(),
             worst_in_tolerance: self.worst_in_tolerance(&driven, known),
-            failed_points: self.failed_points(&self.grid, &self.scenarios, &seen, known),
+            failed_points: self.failed_points(&self.grid, &self.scenarios, &seen, (&driven, known)),
         }
     }
 
@@ -173,7 +178,7 @@ impl<'t> TestGrid<'t> {
         let WorstPoint { point, scenario, result, points_run, failures, unanswered } =
             find_worst(&self.name, &self.about, self.test, self.criterion?, driven)?;
         let (verdict, min_gap_m, words) = (result.verdict.clone(), result.min_gap_m, self.test.describe_point(&point));
-        let failed_point = self.failed_points(&[point], &[scenario], &[result], known).pop();
+        let failed_point = self.failed_points(&[point], &[scenario], &[result], (driven, known)).pop();
         Some(WorstInTolerance { point: words, verdict, min_gap_m, points_run, failures, unanswered, failed_point })
     }
 
@@ -182,20 +187,22 @@ impl<'t> TestGrid<'t> {
         points: &[Vec<f64>],
         scenarios: &[Scenario],
         seen: &[RunResult],
-        known: &mut PreventabilityCache,
+        (driven, known): (&ControllerSetup<'_>, &mut PreventabilityCache),
     ) -> Vec<FailedPoint> {
         let all = points.iter().zip(scenarios).zip(seen);
         let failed: Vec<_> = all.filter(|(_, seen)| seen.verdict.is_failure()).collect();
-        // Skip controller failures: such a run may have ended without a collision.
-        let is_silent = |seen: &RunResult| matches!(seen.verdict, TestVerdict::ControllerFailed { .. });
-        let touching = failed.iter().filter(|(_, seen)| !is_silent(seen));
+        // Others may have ended without a collision.
+        let collides = |seen: &RunResult| matches!(seen.verdict, TestVerdict::Failed { .. });
+        let touching = failed.iter().filter(|(_, seen)| collides(seen));
         let scenarios: Vec<_> = touching.map(|((_, scenario), _)| *scenario).collect();
         let prevented =
             self.criterion.map(|criterion| assess_preventability(criterion, &scenarios, known)).unwrap_or_default();
         let mut prevented = prevented.into_iter();
+        let failing = failed.iter().map(|((_, scenario), _)| *scenario);
+        let mut replays = self.replay_with_multi_body(driven, failing).into_iter();
         let nobody = || Preventability { references: Vec::new(), classification: AvoidabilityAnalysis::default() };
         let with = failed.into_iter().map(|one| {
-            let prevented = if is_silent(one.1) { None } else { prevented.next() };
+            let prevented = if collides(one.1) { prevented.next() } else { None };
             (one, prevented.unwrap_or_else(nobody))
         });
         let told = with.map(|(((point, scenario), seen), prevented)| FailedPoint {
@@ -203,6 +210,8 @@ impl<'t> TestGrid<'t> {
             verdict: seen.verdict.clone(),
             references: prevented.references,
             avoidability: prevented.classification.avoidability,
+            survives_multi_body: replays.next().flatten(),
+            escape_survives_multi_body: prevented.classification.escape_survives,
             escape: prevented.classification.escape,
             scenario_name: scenario.spec().name.clone(),
             scenario: scenario.clone(),
@@ -211,8 +220,30 @@ impl<'t> TestGrid<'t> {
     }
 }
 
+impl TestGrid<'_> {
+    /// Replays scenarios with the multi-body plant. Returns which fail; `None` if the controller refuses the plant.
+    fn replay_with_multi_body<'s>(
+        &self,
+        driven: &ControllerSetup<'_>,
+        scenarios: impl Iterator<Item = &'s Scenario>,
+    ) -> Vec<Option<bool>> {
+        let with_plant: Result<Vec<_>, _> = scenarios.map(|scenario| scenario.with_plant(CONFIRMING_PLANT)).collect();
+        let (Ok(with_plant), Some(criterion)) = (with_plant, self.criterion) else { return Vec::new() };
+        let seen = driven.run_scenarios(criterion, &with_plant).into_iter();
+        seen.map(|seen| match seen.verdict {
+            TestVerdict::Refused { .. } => None,
+            verdict => Some(verdict.is_failure()),
+        })
+        .collect()
+    }
+}
+
 impl ControllerSetup<'_> {
     pub(super) fn run_scenarios(&self, criterion: Criterion, scenarios: &[Scenario]) -> Vec<RunResult> {
+        if criterion.lead == LeadManeuver::Ghost && self.estimator == EstimatorKind::Truth {
+            let reason = "the estimator `truth` ignores the sensors, so that no ghost object is observed";
+            return vec![RunResult::refused(reason.to_owned()); scenarios.len()];
+        }
         let options = RunOptions::new(self.controller.clone()).with_estimator(self.estimator);
         let prepared: Vec<_> = scenarios.iter().map(|scenario| Run::new(scenario, options.clone())).collect();
         let mut refused = Vec::new();
@@ -232,6 +263,8 @@ fn judge(criterion: Criterion, simulated: &SimulationResult) -> RunResult {
     let lead = criterion.lead;
     let trace = simulated.trace.as_ref();
     let end_s = trace.and_then(|trace| test_end_s(lead, trace));
+    let own = simulated.vehicles.get(lead.under_test_index());
+    let max_brake_mps2 = own.map_or(0.0, |own| own.max_brake_mps2);
     let verdict = match &simulated.outcome {
         Outcome::Collision(contact)
             if end_s.is_none_or(|end_s| contact.time_s <= end_s) && !criterion.passes(contact.impact_speed_mps) =>
@@ -241,14 +274,12 @@ fn judge(criterion: Criterion, simulated: &SimulationResult) -> RunResult {
         Outcome::ControllerFailed(failed) => {
             TestVerdict::ControllerFailed { time_s: failed.time_s, reason: failed.failure.to_string() }
         }
+        _ if lead == LeadManeuver::Ghost && max_brake_mps2 >= MIN_FALSE_BRAKE_MPS2 => {
+            TestVerdict::Braked { max_brake_mps2 }
+        }
         Outcome::NoCollision | Outcome::Collision(_) => TestVerdict::Passed,
     };
-    let own = simulated.vehicles.get(lead.under_test_index());
-    RunResult {
-        verdict,
-        min_gap_m: own.and_then(|own| own.min_gap_m),
-        max_brake_mps2: own.map_or(0.0, |own| own.max_brake_mps2),
-    }
+    RunResult { verdict, min_gap_m: own.and_then(|own| own.min_gap_m), max_brake_mps2 }
 }
 
 /// Returns the time at which the test ends; later collisions do not count.
@@ -256,6 +287,7 @@ fn test_end_s(lead: LeadManeuver, trace: &Trace) -> Option<f64> {
     let is_over = |ahead_mps: f64, own_mps: f64| match lead {
         LeadManeuver::Slower | LeadManeuver::CutIn => own_mps <= ahead_mps,
         LeadManeuver::Stopped | LeadManeuver::Decelerating | LeadManeuver::CutOut => own_mps == 0.0,
+        LeadManeuver::Ghost => false,
     };
     let pairs = trace.pairs(lead.under_test_index());
     let pair = pairs.last()?;

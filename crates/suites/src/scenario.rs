@@ -1,8 +1,8 @@
 //! Conversion of a point of a test to a scenario.
 
 use crumple_world::scenario::{
-    Brake, Driver, Environment, InvalidField, LaneChange, LeadProfile, RampBrake, SCENARIO_VERSION, Scenario,
-    ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
+    Brake, Driver, Environment, GhostObject, InvalidField, LaneChange, LeadProfile, RampBrake, SCENARIO_VERSION,
+    Scenario, ScenarioSpec, SensorFaults, Sensors, VehicleClass, VehicleSpec,
 };
 
 use super::parameter::ParameterKind;
@@ -14,6 +14,9 @@ const ONSET_S: f64 = 0.0;
 
 /// Time at which vehicles cut out, in seconds: after one step, so that a controller has observed its leader.
 const CUT_OUT_S: f64 = STEP_S;
+
+/// Time at which a ghost appears, in seconds; the estimates are settled then.
+const GHOST_ONSET_S: f64 = 2.0;
 
 /// Time that a scenario continues after the vehicles would have met or the leader stands, in seconds.
 const TAIL_S: f64 = 20.0;
@@ -48,9 +51,20 @@ impl TestSpec {
             step_s: STEP_S,
             seed: 0,
             environment: Environment::default(),
-            sensors: Sensors::default(),
+            sensors: Sensors { faults: self.sensor_faults(point, own_mps), ..Sensors::default() },
             vehicles,
         })
+    }
+
+    fn sensor_faults(&self, point: &[f64], own_mps: f64) -> SensorFaults {
+        let si = |parameter| self.si_value(point, parameter);
+        let ghost = (self.lead == Some(LeadManeuver::Ghost)).then(|| GhostObject {
+            onset_s: GHOST_ONSET_S,
+            duration_s: si(ParameterKind::GhostTime),
+            gap_m: si(ParameterKind::ClosingTime) * own_mps,
+            speed_mps: 0.0,
+        });
+        SensorFaults { ghost, ..SensorFaults::default() }
     }
 
     fn gap_m(&self, point: &[f64], own_mps: f64) -> f64 {
@@ -92,6 +106,7 @@ impl TestSpec {
                 let lead_mps = si(ParameterKind::LeadSpeed);
                 (vec![steady(closing_s * (own_mps - lead_mps), lead_mps)], closing_s)
             }
+            Some(LeadManeuver::Ghost) => (vec![steady(DUMMY_LEAD_GAP_M, own_mps)], GHOST_ONSET_S + closing_s),
             Some(LeadManeuver::Stopped) | None => (vec![steady(closing_s * own_mps, 0.0)], closing_s),
         }
     }

@@ -105,6 +105,10 @@ pub enum LeadManeuver {
     /// standing vehicle ahead is then the closing time multiplied by its speed. The test ends when the vehicle under
     /// test stands.
     CutOut,
+    /// No vehicle is in the way. For `ghost_time` the sensor reports a standing object that does not exist, at the gap
+    /// that the closing time determines. 300 m ahead drives a vehicle at the speed of the vehicle under test. The test
+    /// fails if the vehicle under test brakes with 0.25 g or more.
+    Ghost,
 }
 
 /// Direction in which a test is made harder.
@@ -123,19 +127,20 @@ impl LeadManeuver {
     /// Returns the parameters that the manoeuvre needs. An entry with two parameters means that either is enough.
     #[must_use]
     pub(crate) fn parameters(self) -> &'static [&'static [ParameterKind]] {
-        use ParameterKind::{ClosingTime, Deceleration, Gap, LeadSpeed, OwnSpeed, Ramp, TimeGap};
+        use ParameterKind::{ClosingTime, Deceleration, Gap, GhostTime, LeadSpeed, OwnSpeed, Ramp, TimeGap};
         match self {
             Self::Stopped => &[&[OwnSpeed], &[ClosingTime]],
             Self::Slower | Self::CutIn => &[&[OwnSpeed], &[LeadSpeed], &[ClosingTime]],
             Self::Decelerating => &[&[OwnSpeed], &[Gap, TimeGap], &[Deceleration], &[Ramp]],
             Self::CutOut => &[&[OwnSpeed], &[Gap, TimeGap], &[ClosingTime]],
+            Self::Ghost => &[&[OwnSpeed], &[ClosingTime], &[GhostTime]],
         }
     }
 
     #[must_use]
     pub(crate) fn under_test_index(self) -> usize {
         match self {
-            Self::Stopped | Self::Slower | Self::Decelerating => 1,
+            Self::Stopped | Self::Slower | Self::Decelerating | Self::Ghost => 1,
             Self::CutIn | Self::CutOut => 2,
         }
     }
@@ -153,6 +158,7 @@ impl LeadManeuver {
             Self::Decelerating => "decelerating",
             Self::CutIn => "cut-in",
             Self::CutOut => "cut-out",
+            Self::Ghost => "ghost",
         }
     }
 }

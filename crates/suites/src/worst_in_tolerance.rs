@@ -190,6 +190,7 @@ fn severity_key(seen: &RunResult) -> (u8, f64) {
         TestVerdict::Refused { .. } => (0, 0.0),
         TestVerdict::Passed => (1, -seen.min_gap_m.unwrap_or(f64::INFINITY)),
         TestVerdict::ControllerFailed { .. } => (2, 0.0),
-        TestVerdict::Failed { impact_speed_mps, .. } => (3, *impact_speed_mps),
+        TestVerdict::Braked { max_brake_mps2 } => (3, *max_brake_mps2),
+        TestVerdict::Failed { impact_speed_mps, .. } => (4, *impact_speed_mps),
     }
 }

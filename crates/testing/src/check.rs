@@ -13,7 +13,6 @@ use crumple_world::scenario::file::{load_all, to_toml};
 use rayon::prelude::*;
 
 use super::failure::{CheckError, CheckSummary, PropertyFailure};
-use super::generator::with_compatible_step;
 use super::shrink::{ShrunkScenario, shrink};
 use super::{ControllerUnderTest, Property, PropertyVerdict, Scenarios, ScenariosError, drawing};
 
@@ -185,13 +184,7 @@ impl ControllerCheck {
     }
 
     fn evaluate(&self, property: &Property, scenario: &Scenario) -> PropertyVerdict {
-        property.evaluate(&self.controller, &self.adapt(scenario))
-    }
-
-    /// Returns the scenario with a step that suits the controller's decision interval.
-    fn adapt(&self, scenario: &Scenario) -> Scenario {
-        let adapted = self.controller.kind.interval_s().and_then(|at_s| with_compatible_step(scenario, at_s).ok());
-        adapted.unwrap_or_else(|| scenario.clone())
+        property.evaluate(&self.controller, scenario)
     }
 
     fn shrink_and_write(
@@ -206,7 +199,7 @@ impl ControllerCheck {
             simulated += 1;
             matches!(self.evaluate(property, scenario), PropertyVerdict::Violated(_))
         });
-        shrunk.scenario = self.adapt(&shrunk.scenario);
+        shrunk.scenario = self.controller.adapt(&shrunk.scenario);
         let PropertyVerdict::Violated(finding) = self.evaluate(property, &shrunk.scenario) else {
             let finding = "the controller is not deterministic: a failure does not recur".to_owned();
             return Ok(Box::new(self.failure(property, finding, shrunk, PathBuf::new(), String::new())));
@@ -218,7 +211,7 @@ impl ControllerCheck {
         let count = format!("{count}; shrunk by {simulated} evaluations");
         let write = || {
             fs::create_dir_all(&self.corpus)?;
-            let curves = self.curves(&shrunk.scenario);
+            let curves = self.controller.curves(&shrunk.scenario);
             fs::write(file.with_extension("svg"), drawing::to_svg(&curves, shrunk.scenario.spec().duration_s))?;
             fs::write(&file, text)
         };
@@ -235,7 +228,7 @@ impl ControllerCheck {
         count: String,
     ) -> PropertyFailure {
         let ShrunkScenario { scenario, changes } = shrunk;
-        let drawing = drawing::to_text(&self.curves(&scenario));
+        let drawing = self.controller.draw(&scenario);
         let replay = self.replay_commands(&file);
         PropertyFailure {
             property: property.name().to_owned(),
@@ -247,12 +240,6 @@ impl ControllerCheck {
             replay,
             drawing,
         }
-    }
-
-    fn curves(&self, scenario: &Scenario) -> Vec<drawing::Curve> {
-        let run = std::panic::catch_unwind(std::panic::AssertUnwindSafe(|| self.controller.simulate(scenario)));
-        let trace = run.ok().and_then(Result::ok).and_then(|result| result.trace);
-        trace.map_or_else(Vec::new, |trace| drawing::curves(scenario, &trace))
     }
 
     fn replay_commands(&self, file: &Path) -> Vec<String> {

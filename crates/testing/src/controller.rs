@@ -1,5 +1,6 @@
 //! The controller under test and its runs.
 
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 use crumple_world::control::{Controller, ControllerFailure, ControllerKind, ControllerSource, Ego};
@@ -7,6 +8,9 @@ use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
 use crumple_world::observation::{EstimatorKind, Observation};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate};
+
+use super::drawing;
+use super::generator::with_compatible_step;
 
 /// The controller that drives the vehicles under test, and its estimator.
 #[derive(Debug, Clone)]
@@ -33,6 +37,25 @@ impl ControllerUnderTest {
     pub fn simulate(&self, scenario: &Scenario) -> Result<SimulationResult, RunError> {
         let run = Run::new(scenario, self.options().with_after_contact(AfterContact::Stop))?;
         Ok(simulate(&run, RecordingLevel::Trace))
+    }
+
+    /// Draws gaps and speeds of a run as lines of text.
+    #[must_use]
+    pub fn draw(&self, scenario: &Scenario) -> String {
+        drawing::to_text(&self.curves(scenario))
+    }
+
+    pub(super) fn curves(&self, scenario: &Scenario) -> Vec<drawing::Curve> {
+        let run = catch_unwind(AssertUnwindSafe(|| self.simulate(scenario)));
+        let trace = run.ok().and_then(Result::ok).and_then(|result| result.trace);
+        trace.map_or_else(Vec::new, |trace| drawing::curves(scenario, &trace))
+    }
+
+    /// Returns the scenario with a step that suits the controller's decision interval.
+    #[must_use]
+    pub fn adapt(&self, scenario: &Scenario) -> Scenario {
+        let adapted = self.kind.interval_s().and_then(|at_s| with_compatible_step(scenario, at_s).ok());
+        adapted.unwrap_or_else(|| scenario.clone())
     }
 
     fn options(&self) -> RunOptions {

@@ -5,7 +5,6 @@ use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
-use crumple_search::falsify::MetamorphicRelation;
 use crumple_search::falsify::counterexample::Avoidability;
 use crumple_world::control::ControllerKind;
 use crumple_world::measure::{
@@ -14,7 +13,7 @@ use crumple_world::measure::{
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::SimulationResult;
 
-use super::ControllerUnderTest;
+use super::{ControllerUnderTest, MetamorphicRelation};
 
 /// Verdict of a property in one scenario.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -174,10 +173,10 @@ impl Property {
         &self.name
     }
 
-    /// Evaluates a controller in a scenario.
+    /// Evaluates a controller in a scenario, with a step that suits its decision interval.
     #[must_use]
     pub fn evaluate(&self, controller: &ControllerUnderTest, scenario: &Scenario) -> PropertyVerdict {
-        match catch_unwind(AssertUnwindSafe(|| (self.evaluate)(controller, scenario))) {
+        match catch_unwind(AssertUnwindSafe(|| (self.evaluate)(controller, &controller.adapt(scenario)))) {
             Ok(Ok(verdict)) => verdict,
             Ok(Err(error)) => PropertyVerdict::NotApplicable(error.to_string()),
             Err(panic) => {

@@ -1,6 +1,6 @@
 //! Shrinking of scenarios: to few changes from the nominal one, then to round numbers.
 
-use crumple_search::falsify::counterexample::{rounder_values, shrink as shrink_values};
+use crumple_search::falsify::counterexample::{ChangedParameter, rounder_values, shrink as shrink_values};
 use crumple_world::scenario::{Scenario, ScenarioSpec};
 use serde_json::Value;
 
@@ -40,7 +40,13 @@ pub(super) fn shrink(scenarios: &Scenarios, bytes: &[u8], holds: &mut dyn FnMut(
                 let own = values.get(parameter.coordinates())?;
                 let format = |&value: &f64| parameter.format_value(value);
                 let text = own.iter().map(format).collect::<Vec<_>>().join(", ");
-                (own != parameter.nominal()).then(|| format!("{} {text} {}", parameter.name(), parameter.unit()))
+                let changed = ChangedParameter {
+                    parameter: parameter.name().to_owned(),
+                    value: text,
+                    unit: parameter.unit().to_owned(),
+                    outside_observed: own.iter().find_map(|&one| space.extrapolated_range(parameter.name(), one)),
+                };
+                (own != parameter.nominal()).then(|| changed.to_string())
             });
             ShrunkScenario { changes: changed.collect(), scenario: scenario_of_values(space, &values, seed) }
         }

@@ -55,6 +55,8 @@ pub enum Purpose {
     GapAheadOutage = 18,
     /// Outages of the sensor of the gap behind.
     GapBehindOutage = 19,
+    /// Properties and glances of a human driver, one consumer per vehicle.
+    HumanDriver = 20,
 }
 
 /// Returns the stream for `purpose` and its `index`-th consumer (a vehicle, a sample), under `seed`.

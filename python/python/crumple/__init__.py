@@ -1,6 +1,6 @@
 """Simulation, falsification, verification and training of longitudinal driving controllers."""
 
-from crumple._campaign import Campaign, Failure, falsify
+from crumple._campaign import Campaign, Comparison, Failure, compare, falsify
 from crumple._controller import OBSERVATION, Controller
 from crumple._crumple import (
     Assessment,
@@ -17,6 +17,8 @@ from crumple._crumple import (
 from crumple._evidence import Rate, WorstCase, assess, rate, worst_case, write_report
 from crumple._monitor import monitor
 from crumple._registration import register_environments
+from crumple._search import SearchMethod
+from crumple._serve import serve
 from crumple._simulate import scenario, simulate, space
 from crumple.errors import (
     AssessmentError,
@@ -37,6 +39,7 @@ __all__ = [
     "AssessmentError",
     "Campaign",
     "CampaignError",
+    "Comparison",
     "Controller",
     "ControllerError",
     "CrumpleError",
@@ -49,6 +52,7 @@ __all__ = [
     "RunError",
     "Scenario",
     "ScenarioError",
+    "SearchMethod",
     "Simulation",
     "Space",
     "SpaceError",
@@ -58,10 +62,12 @@ __all__ = [
     "WorstCase",
     "allow_external",
     "assess",
+    "compare",
     "falsify",
     "monitor",
     "rate",
     "scenario",
+    "serve",
     "simulate",
     "space",
     "training_preset",

@@ -1,16 +1,19 @@
-"""Falsification campaigns."""
+"""Falsification campaigns, and comparisons of search methods."""
 
 from __future__ import annotations
 
 import os
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
 from crumple._controller import as_controller
 from crumple._crumple import Figure, Scenario, Simulation
+from crumple._crumple import compare as _compare
 from crumple._crumple import falsify as _falsify
+from crumple._search import SearchMethod
 from crumple._simulate import ControllerLike, Progress, SpaceLike, simulate
 from crumple._simulate import space as find_space
 
@@ -62,8 +65,7 @@ def falsify(
     *,
     spec: str = "no contact",
     against: ControllerLike | None = None,
-    metamorphic: str | None = None,
-    method: str = "auto",
+    method: str | SearchMethod = "auto",
     aim: str = "severest",
     budget: int = 2000,
     seed: int = 0,
@@ -74,9 +76,9 @@ def falsify(
 ) -> Campaign:
     """Searches a space for scenarios in which a controller fails, as ``crumple falsify`` does.
 
-    With ``against``, another controller, a failure counts only if that controller passes the same scenario. With
-    ``metamorphic`` (``"larger-gap=2"``, ``"more-friction=0.1"``) it counts only if the controller passes the scenario
-    with less of that quantity.
+    With ``against``, another controller, a failure counts only if that controller passes the same scenario.
+
+    ``method`` is a name as on the command line, or a :class:`crumple.SearchMethod` of your own.
 
     ``folder`` is the run folder, as on the command line, and ``resume`` continues it; a controller in Python then needs
     an identity. ``progress`` is called with the numbers of completed evaluations, of all evaluations, and of failures.
@@ -89,7 +91,6 @@ def falsify(
                 space,
                 spec=spec,
                 against=against,
-                metamorphic=metamorphic,
                 method=method,
                 aim=aim,
                 budget=budget,
@@ -101,12 +102,11 @@ def falsify(
             )
     resolved = as_controller(controller)
     reference = None if against is None else as_controller(against)
-    contrast = (reference, metamorphic)
     summary, text = _falsify(
         resolved,
         find_space(space),
         spec,
-        contrast,
+        reference,
         method,
         aim,
         budget,
@@ -122,3 +122,39 @@ def falsify(
         for found in summary["counterexamples"]
     ]
     return Campaign(failures, summary, text)
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Comparison of search methods."""
+
+    data: dict[str, Any] = field(repr=False)
+    """Output of ``crumple falsify --compare --format json``."""
+    text: str = field(repr=False)
+    """Tables as text."""
+
+    def __str__(self) -> str:
+        return self.text
+
+
+def compare(
+    controller: ControllerLike,
+    space: SpaceLike = "high-risk",
+    *,
+    methods: Sequence[str | SearchMethod],
+    seeds: int = 30,
+    spec: str = "no contact",
+    against: ControllerLike | None = None,
+    budget: int = 2000,
+    seed: int = 0,
+    estimator: Literal["kalman", "truth"] = "kalman",
+    progress: Progress | None = None,
+) -> Comparison:
+    """Compares search methods on the same seeds, as ``crumple falsify --compare`` does.
+
+    Each method runs with each seed up to its first failure, with at most ``budget`` simulations.
+    """
+    reference = None if against is None else as_controller(against)
+    resolved, found = as_controller(controller), find_space(space)
+    compared = _compare(resolved, found, spec, reference, list(methods), seeds, budget, seed, estimator, progress)
+    return Comparison(*compared)

@@ -6,12 +6,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from crumple._controller import Controller
+from crumple._search import SearchMethod
 
 __all__ = [
     "Assessment",
     "Episodes",
+    "Family",
     "Figure",
     "Observation",
+    "Property",
     "Scenario",
     "Simulation",
     "Space",
@@ -19,6 +22,7 @@ __all__ = [
     "Track",
     "allow_external",
     "assess",
+    "compare",
     "falsify",
     "monitor",
     "rate",
@@ -29,6 +33,18 @@ __all__ = [
 
 @final
 class Observation:
+    def __new__(
+        cls,
+        *,
+        speed_mps: float,
+        acceleration_mps2: float,
+        gap_ahead_m: float | None = None,
+        speed_ahead_mps: float | None = None,
+        acceleration_ahead_mps2: float | None = None,
+        gap_behind_m: float | None = None,
+        speed_behind_mps: float | None = None,
+        acceleration_behind_mps2: float | None = None,
+    ) -> Observation: ...
     @property
     def speed_mps(self) -> float: ...
     @property
@@ -67,6 +83,7 @@ class Scenario:
     def with_seed(self, seed: int) -> Scenario: ...
     def to_dict(self) -> dict[str, Any]: ...
     def to_toml(self) -> str: ...
+    def __reduce__(self) -> tuple[Any, tuple[str]]: ...
     def __len__(self) -> int: ...
     def __eq__(self, value: object, /) -> bool: ...
 
@@ -84,7 +101,46 @@ class Space:
     def nominal(self) -> Scenario: ...
     def draw(self, seed: int, index: int) -> Scenario: ...
     def to_dict(self) -> dict[str, Any]: ...
+    def __reduce__(self) -> tuple[Any, tuple[str]]: ...
     def __len__(self) -> int: ...
+
+@final
+class Family:
+    @staticmethod
+    def any() -> Family: ...
+    @staticmethod
+    def near(scenario: Scenario) -> Family: ...
+    @staticmethod
+    def of_space(space: Space) -> Family: ...
+    @staticmethod
+    def line_of_five() -> Family: ...
+    @property
+    def byte_count(self) -> int: ...
+    def read(self, bytes: bytes) -> Scenario: ...
+
+@final
+class Property:
+    @staticmethod
+    def no_avoidable_collision() -> Property: ...
+    @staticmethod
+    def no_unnecessary_braking() -> Property: ...
+    @staticmethod
+    def string_stability() -> Property: ...
+    @staticmethod
+    def bounded_jerk(max_mps3: float) -> Property: ...
+    @staticmethod
+    def specification(text: str) -> Property: ...
+    @staticmethod
+    def not_worse_than(reference: str | Controller | Callable[..., Any]) -> Property: ...
+    @staticmethod
+    def metamorphic(relation: str) -> Property: ...
+    @staticmethod
+    def deterministic() -> Property: ...
+    @property
+    def name(self) -> str: ...
+    def evaluate(
+        self, controller: str | Controller, scenario: Scenario, estimator: str
+    ) -> tuple[Literal["holds", "not applicable", "violated"], str, str]: ...
 
 @final
 class Track:
@@ -233,12 +289,24 @@ def simulate(
     trace: bool,
     progress: Callable[[int, int, int], object] | None,
 ) -> list[Simulation]: ...
+def compare(
+    controller: str | Controller,
+    space: Space,
+    spec: str,
+    against: str | Controller | None,
+    methods: list[str | SearchMethod],
+    seeds: int,
+    budget: int,
+    seed: int,
+    estimator: str,
+    progress: Callable[[int, int, int], object] | None,
+) -> tuple[dict[str, Any], str]: ...
 def falsify(
     controller: str | Controller,
     space: Space,
     spec: str,
-    beside: tuple[str | Controller | None, str | None],
-    method: str,
+    against: str | Controller | None,
+    method: str | SearchMethod,
     aim: str,
     budget: int,
     seed: int,

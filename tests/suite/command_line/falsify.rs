@@ -46,13 +46,6 @@ fn a_search_may_be_expected_to_find_a_failure_or_nothing() {
         assert_reports(&output, code, message);
         assert!(!stdout(&output).is_empty());
     }
-    // Without a partner run, `--expect nothing` fails.
-    let search = "falsify --controller baseline --budget 5 --out alone --metamorphic larger-gap=1e6";
-    let alone = run_crumple(folder.path(), &format!("{search} --expect nothing"));
-    assert_reports(&alone, 1, "none of 15 evaluations has a second scenario");
-    let expected = "NOT COMPARED: 5 of 5 evaluations have no valid scenario with 1000000 m less of a gap ahead at the \
-        start (halton)";
-    assert!(stdout(&alone).contains(expected), "{}", stdout(&alone));
 }
 
 #[test]

@@ -76,16 +76,6 @@ fn a_space_is_fitted_and_failures_are_stated_per_hour() {
         "{counted:?}"
     );
 
-    // A merged count continues as one of one machine, with rates per hour.
-    for index in ["1", "2", "3"] {
-        let which = format!("{index}/3");
-        let shard = rate("2", &format!("--shard {which} --out {index}"));
-        assert_eq!(exit_code(&shard), 0, "{}", stderr(&shard));
-        assert_eq!(file_names_in(&here.join(index)).len(), 4);
-    }
-    run_ok(here, "merge 3 1 2 --out merged");
-    assert_eq!(on_the_road(&rate("1", "--out merged --resume")), on_the_road(&one));
-
     let rare = |more: &str| {
         let effort = "--rare --samples 50 --repetitions 5 --resamples 79 --format json";
         let asked = "verify rate --controller full-throttle --space space.toml --estimator truth";

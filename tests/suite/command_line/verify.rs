@@ -219,7 +219,7 @@ fn an_estimate_killed_again_and_again_ends_with_the_same_bytes_on_any_number_of_
     assert_refused(&other, "the rare-failure estimate there has a different configuration");
 }
 
-/// JSON and text agree, with the names of `check`, `merge` and `suite run`.
+/// JSON and text agree, with the names of `check` and `suite run`.
 #[test]
 fn verification_results_are_machine_readable() {
     let folder = temp_folder();
@@ -252,9 +252,6 @@ fn verification_results_are_machine_readable() {
     let bound = 1.0 - 0.1_f64.powf(1.0 / 388.0);
     assert_eq!((fewest["runs"].as_u64(), fewest["failures"].as_u64()), (Some(388), Some(0)), "{fewest}");
     assert!((fewest["rate_at_most"].as_f64().unwrap() - bound).abs() < 1e-9, "{fewest}");
-    let shard = &message(&format!("{rate} --out part --confidence 0.99 --shard 1/3"))[0];
-    assert_eq!((shard["runs"].as_u64(), shard["shard"].as_str()), (Some(100), Some("1/3")));
-    assert_eq!((&shard["certificate"], &shard["registration_sha256"]), (&Value::Null, &one["registration_sha256"]));
 }
 
 /// Options of `--rare` are refused without it; a count that proves nothing fails with its counts.

@@ -1,4 +1,4 @@
-//! Files that name a program: scenarios, spaces, a campaign, a certificate, and a shard. The program leaves a marker
+//! Files that name a program: scenarios, spaces, a campaign and a certificate. The program leaves a marker
 //! when it starts.
 
 use std::fs;
@@ -132,13 +132,11 @@ impl InputFolder {
         self.write("preset.toml", format!("{preset}\n[[spaces]]\nspace = \"space.toml\"\nweight = 1.0\n"));
     }
 
-    /// Makes a campaign, a certificate and a shard, with permission to start the program.
+    /// Makes a campaign and a certificate, with permission to start the program.
     fn make_run_folders(&self) {
         let search = "falsify --controller idm --space space.toml --budget 2 --allow-external";
         let count = "verify rate --controller idm --space space.toml --runs 2 --allow-external --confidence 0.6";
-        for (command, more) in
-            [(search, "--out campaign"), (count, "--out rate"), (count, "--shard 1/1 --out rate-shard")]
-        {
+        for (command, more) in [(search, "--out campaign"), (count, "--out rate")] {
             let message = self.run(&format!("{command} {more}"));
             assert_eq!(message.code, 0, "{command:?}: {}", message.stderr);
         }

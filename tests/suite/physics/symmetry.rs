@@ -1,7 +1,7 @@
 //! Symmetries: changes in time, space and number of vehicles that do not change the outcome.
 
-use crumple_fuzzing::RunSetup;
 use crumple_fuzzing::oracle::{check_same_impacts, is_grazing};
+use crumple_fuzzing::{RunSetup, TestedController};
 use crumple_testing::generator::{DriverKind, ScenarioShape, make_scripted};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleClass, VehicleSpec};
@@ -10,8 +10,8 @@ use proptest::prelude::*;
 
 use super::trace_of;
 use crate::generate::{
-    any_after_contact, any_profile, any_scenario, any_scenario_of_shape, any_setup, simulate_traced, with_cases,
-    without_learned_drivers, without_noise,
+    any_after_contact, any_profile, any_scenario, any_scenario_of_shape, any_setup, make_average, simulate_traced,
+    with_cases, without_learned_drivers, without_noise,
 };
 
 fn assert_same_impacts(
@@ -119,7 +119,10 @@ proptest! {
         }).unwrap();
         let far = VehicleSpec::new(VehicleClass::Light, 1e5, 50.0, Driver::Profile(LeadProfile::ConstantSpeed));
         let led = alone.edited(|spec| spec.vehicles.insert(0, far)).unwrap();
-        let setup = RunSetup { estimator: EstimatorKind::Truth, ..setup };
+        let mut setup = RunSetup { estimator: EstimatorKind::Truth, ..setup };
+        if let TestedController::BuiltIn(controller) = &mut setup.controller {
+            make_average(controller);
+        }
         let options = setup.options(alone.spec().step_s);
         let (alone, led) = (simulate_traced(&alone, &options), simulate_traced(&led, &options));
         assert_same_impacts(&alone, &led, 1, 0.0)?;

@@ -287,7 +287,11 @@ fn a_file_is_as_long_as_is_allowed_and_no_longer() {
 fn assumptions_are_printed_in_words() {
     use Assumption::*;
     for (assumption, said) in [
-        (ExactMotion, "accelerations are held over each step, and a vehicle that has stopped does not reverse"),
+        (
+            ExactMotion,
+            "vehicles have the plant `point-mass`: accelerations are held over each step, and a vehicle that has \
+             stopped does not reverse",
+        ),
         (ScriptedLeader, "the leader moves as scripted and reacts to no vehicle"),
         (LatchedFollower, "the follower holds its speed until its latched emergency brake fires"),
         (FollowerByLaw, "the follower applies the stated controller's command at each step, without delay"),

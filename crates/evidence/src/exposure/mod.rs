@@ -10,6 +10,8 @@
 //! (N + omitted) / N brakings. Otherwise a bad recording would lower the rate.
 
 mod counting;
+#[cfg(test)]
+mod recorded_tests;
 mod resampling;
 #[cfg(test)]
 mod tests;

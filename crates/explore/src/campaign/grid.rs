@@ -20,6 +20,8 @@ pub(crate) struct GridAxis {
     pub(crate) name: String,
     /// Unit; empty for a pure number.
     pub(crate) unit: &'static str,
+    /// Smallest and largest value in the recordings that the space was fitted to.
+    observed: Option<[f64; 2]>,
     /// Formatted bounds of each cell; one name for a parameter with named values.
     pub(crate) cell_bounds: Vec<(String, String)>,
     pub(crate) is_named: bool,
@@ -45,7 +47,8 @@ impl FailureGrid {
         let parameters: Vec<&SpaceParameter> = look.space().coordinate_parameters().collect();
         let side = |name: &str| {
             let place = known.iter().position(|known| known == name)?;
-            Some((place, GridAxis::new(name, parameters.get(place)?)))
+            let parameter = parameters.get(place)?;
+            Some((place, GridAxis::new(name, parameter, look.space().observed_range(parameter.name()))))
         };
         let [(x, across), (y, up)] = [side(names[0])?, side(names[1])?];
         let mut cells = vec![GridCell::default(); across.cell_bounds.len() * up.cell_bounds.len()];
@@ -70,7 +73,7 @@ impl FailureGrid {
 }
 
 impl GridAxis {
-    fn new(name: &str, parameter: &SpaceParameter) -> Self {
+    fn new(name: &str, parameter: &SpaceParameter, observed: Option<[f64; 2]>) -> Self {
         let [low, high] = parameter.range();
         let is_named = parameter.has_named_values();
         // Named values are equidistant in the unit cube, one cell each.
@@ -84,11 +87,14 @@ impl GridAxis {
             false => (value(index as f64 / count as f64), value((index + 1) as f64 / count as f64)),
         };
         let unit = if parameter.unit() == "1" { "" } else { parameter.unit() };
-        Self { name: name.to_owned(), unit, cell_bounds: (0..count).map(cell).collect(), is_named }
+        Self { name: name.to_owned(), unit, observed, cell_bounds: (0..count).map(cell).collect(), is_named }
     }
 
     pub(crate) fn title(&self) -> String {
-        if self.unit.is_empty() { self.name.clone() } else { format!("{} ({})", self.name, self.unit) }
+        let observed = self.observed.map(|range| range.map(format_3_digits).join(" to "));
+        let observed = observed.map_or(String::new(), |range| format!(", observed {range}"));
+        let unit = if self.unit.is_empty() { String::new() } else { format!(" ({})", self.unit) };
+        format!("{}{unit}{observed}", self.name)
     }
 
     pub(crate) fn cell_label(&self, cell: usize) -> String {

@@ -76,6 +76,9 @@ pub struct EnvironmentConfig {
     pub step_reward: f64,
     /// Reward of a collision, which ends the episode; -3000 in the paper.
     pub contact_reward: f64,
+    /// Reward of a collision in addition, times its harm: the expected number of seriously injured drivers. Default 0.
+    #[serde(default, skip_serializing_if = "is_default")]
+    pub harm_reward: f64,
     /// Factor on the rewards that the learner receives. Returns and logs are unscaled.
     pub reward_scale: f64,
     /// Meaning of the time limit to the learner.

@@ -6,6 +6,7 @@ use std::sync::Arc;
 use super::config::{EnvironmentConfig, TimeLimit};
 use super::reward::RewardTracker;
 use super::source::{EGO, ScenarioSource};
+use crumple_world::measure::harm;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::{ActionBounds, FrameStack, HeldAction, ObservationScaling};
 use crumple_world::sim::{Motion, Run, StepView, Stepper};
@@ -195,6 +196,9 @@ impl TrainingEpisode {
         } else {
             stepper.drive(EGO, config.action_repeat as usize, |_| acceleration_mps2, after);
         }
+        if ending == EpisodeEnding::Contact && config.harm_reward != 0.0 {
+            reward += config.harm_reward * harm(stepper.impacts(), stepper.motion().len());
+        }
         self.undiscounted_return += reward;
         let mut to_learn = reward;
         if ending == EpisodeEnding::AtRest {
@@ -283,6 +287,14 @@ mod tests {
         let left = 150.0 - all.len() as f64;
         let credit = f64::from(drive_paper_2(&end, action as f32).1.last().unwrap().reward);
         assert!((credit - (1.0 - 0.99_f64.powf(left + 1.0)) / 0.01).abs() < 1.0, "{credit}");
+    }
+
+    #[test]
+    fn a_contact_costs_its_harm_in_addition() {
+        let with = |harm_reward: f64| drive_paper_2(&EnvironmentConfig { harm_reward, ..config() }, 1.0).0;
+        let cost = with(0.0) - with(-1000.0);
+        assert!(cost > 0.3 && cost < 2000.0, "{cost}");
+        assert!((with(0.0) - with(-2000.0) - 2.0 * cost).abs() < 1e-6);
     }
 
     #[test]

@@ -44,6 +44,7 @@ impl TrainingConfig {
         check_range("environment.decision_steps", f64::from(self.environment.action_repeat), [1.0, 1500.0])?;
         check_range("environment.step_reward", self.environment.step_reward, [0.0, 1e6])?;
         check_range("environment.contact_reward", self.environment.contact_reward, [-1e9, 0.0])?;
+        check_range("environment.harm_reward", self.environment.harm_reward, [-1e9, 0.0])?;
         check_range("environment.reward_scale", self.environment.reward_scale, [1e-9, 1e3])?;
         check_range("environment.max_accel_mps2", self.environment.max_accel_mps2, [0.1, 30.0])?;
         let mut terms = self.environment.costs.ranges().chain(self.environment.observation.ranges());

@@ -349,7 +349,9 @@ impl Trainer {
             TimeLimit::Termination => discounted.min(steps as f64 * environment.step_reward),
         };
         let most_cost = (self.source.max_cost_multiplier() * environment.costs.max_cost()).max(1.0);
-        let largest_value = environment.reward_scale * most_cost * paid.max(-environment.contact_reward);
+        // The harm of two vehicles is at most 2.
+        let dearest_contact = -environment.contact_reward - 2.0 * environment.harm_reward;
+        let largest_value = environment.reward_scale * most_cost * paid.max(dearest_contact);
         let (critic_loss, mean_value) = (record.critic_loss, record.mean_value);
         // ReLU turns NaN into 0, so the outputs of a broken network can be finite.
         let is_whole =

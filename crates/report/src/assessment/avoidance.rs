@@ -4,9 +4,13 @@ use serde::{Deserialize, Serialize};
 
 use super::gather_context::GatherContext;
 use super::{CacheError, CaseResult, Rounded};
+use crumple_search::confirmation::escape_survives;
 use crumple_search::worst_case::{AvoidOptions, Avoidance, AvoidanceVerdict, avoid, covers_scenario};
 use crumple_verify::{Certificate, ProvedClaim, check};
 use crumple_world::scenario::{Scenario, file};
+
+/// Mark of an escape that collides in a replay with the multi-body plant.
+pub(super) const COLLIDING_ESCAPE: &str = "multi-body: collides";
 
 /// An avoidance verdict with rounded numbers: can any driver avoid a collision, and by how much?
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
@@ -24,6 +28,9 @@ pub enum RoundedAvoidance {
         min_gap_bound_is_certified: bool,
         /// Time at which the follower's emergency brake fires on that profile, in seconds.
         follower_brakes_s: Option<Rounded<2>>,
+        /// True if that profile has no collision with the multi-body plant either; absent if it cannot be run.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        survives_multi_body: Option<bool>,
     },
     /// No driver avoids a collision; the checker has accepted the proof.
     Unavoidable,
@@ -40,13 +47,17 @@ impl RoundedAvoidance {
         CertifiedAvoidance::compute(scenario, AvoidOptions::default()).avoidance
     }
 
-    fn from_avoidance(Avoidance { verdict, min_gap_bound_m, bound_certificate, .. }: &Avoidance) -> Self {
+    fn from_avoidance(
+        scenario: &Scenario,
+        Avoidance { verdict, min_gap_bound_m, bound_certificate, .. }: &Avoidance,
+    ) -> Self {
         match verdict {
             AvoidanceVerdict::Avoidable(escape) => Self::Avoidable {
                 min_gap_m: Rounded::down(escape.min_gap_m),
                 min_gap_bound_m: min_gap_bound_m.map(Rounded::up),
                 min_gap_bound_is_certified: bound_certificate.is_some(),
                 follower_brakes_s: escape.trigger_time_s().map(Rounded::new),
+                survives_multi_body: escape_survives(scenario, &escape.acceleration_mps2),
             },
             AvoidanceVerdict::Unavoidable(_) => Self::Unavoidable,
             AvoidanceVerdict::Undecided(reason) => Self::Undecided { reason: reason.to_string() },
@@ -67,13 +78,23 @@ impl RoundedAvoidance {
 
     pub(super) fn describe(&self) -> String {
         match self {
-            Self::Avoidable { min_gap_m, min_gap_bound_m, min_gap_bound_is_certified, follower_brakes_s } => {
+            Self::Avoidable {
+                min_gap_m,
+                min_gap_bound_m,
+                min_gap_bound_is_certified,
+                follower_brakes_s,
+                survives_multi_body,
+            } => {
                 let fires =
                     follower_brakes_s.map(|time_s| format!("; the follower's emergency brake fires at {time_s} s"));
                 let by = if *min_gap_bound_is_certified { "proved" } else { "computed, without a certificate" };
                 let bound = min_gap_bound_m.map(|bound_m| format!("; no driver keeps more than {bound_m} m ({by})"));
+                let replay = survives_multi_body.map_or("", |survives| match survives {
+                    true => " With the multi-body plant, this escape has no collision either.",
+                    false => " With the multi-body plant, this escape COLLIDES.",
+                });
                 format!(
-                    "Avoidable: smallest gap of the best escape found {min_gap_m} m{}{}.",
+                    "Avoidable: smallest gap of the best escape found {min_gap_m} m{}{}.{replay}",
                     fires.unwrap_or_default(),
                     bound.unwrap_or_default()
                 )
@@ -85,6 +106,9 @@ impl RoundedAvoidance {
 
     pub(super) fn label(&self) -> String {
         match self {
+            Self::Avoidable { min_gap_m, survives_multi_body: Some(false), .. } => {
+                format!("{min_gap_m} m; {COLLIDING_ESCAPE}")
+            }
             Self::Avoidable { min_gap_m, .. } => format!("{min_gap_m} m"),
             Self::Unavoidable => "unavoidable".to_owned(),
             Self::Undecided { .. } => "undecided".to_owned(),
@@ -114,7 +138,7 @@ impl CertifiedAvoidance {
     fn compute(scenario: &Scenario, options: AvoidOptions) -> Self {
         match avoid(scenario, options) {
             Ok(avoidance) => {
-                let best = RoundedAvoidance::from_avoidance(&avoidance);
+                let best = RoundedAvoidance::from_avoidance(scenario, &avoidance);
                 let certificate = match avoidance.verdict {
                     AvoidanceVerdict::Unavoidable(certificate) => Some(certificate),
                     AvoidanceVerdict::Avoidable(_) | AvoidanceVerdict::Undecided(_) => avoidance.bound_certificate,

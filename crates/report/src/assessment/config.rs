@@ -32,8 +32,8 @@ pub struct AssessConfig {
     /// Estimator of the vehicles under test. Default: the Kalman filter.
     #[serde(default)]
     pub estimator: EstimatorKind,
-    /// Include the paper's scenarios, its leader's worst-case braking, failure maps and its training. Set it to false
-    /// for controllers that are unrelated to the paper. Default true.
+    /// Include the paper's scenarios, its leader's worst-case braking and its training. Set it to false for controllers
+    /// that are unrelated to the paper. Default true.
     #[serde(default = "default_true")]
     pub paper: bool,
     /// Scenario spaces whose failure rates are measured: built-in names or files relative to the configuration.
@@ -65,6 +65,10 @@ pub struct AssessConfig {
     /// Settings of the counts for rate certificates of the learned controllers.
     #[serde(default)]
     pub rates: RatesConfig,
+    /// Counts collisions ahead and behind and harm in `distributions`, by kind of follower, and writes `runs.csv`.
+    /// Default: not counted.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub harm: Option<HarmConfig>,
     /// Certificates to check, relative to the configuration file. Default: those shipped about the reference policy, if
     /// it is among the controllers and the paper is included.
     #[serde(default, skip_serializing_if = "Option::is_none")]
@@ -115,6 +119,19 @@ impl Default for RatesConfig {
     fn default() -> Self {
         Self { runs: 4000, confidence: 0.999 }
     }
+}
+
+/// Settings of the count of harm.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(deny_unknown_fields)]
+#[non_exhaustive]
+pub struct HarmConfig {
+    /// Emergencies per hour of driving that the random scenarios stand for: an assumption, at most 3600.
+    pub emergencies_per_hour: f64,
+    /// Random scenarios of each space for which crumple decides whether a collision is avoidable. Default 0.
+    #[serde(default)]
+    pub avoid_draws: u64,
 }
 
 /// Controllers of the built-in report, the baseline first.
@@ -171,6 +188,7 @@ impl Default for AssessConfig {
             suites: Vec::new(),
             search: SearchConfig::default(),
             rates: RatesConfig::default(),
+            harm: None,
             certificates: None,
             gates: vec![
                 AssessmentGate::NoContactInPaperScenarios { controller: road.clone() },

@@ -36,20 +36,19 @@ pub use claims::{
     MIN_CONFIDENCE_PERCENT, Property, SecondaryEvidence, Strength, Subject, UncomparedText,
 };
 pub use commands::{CommandFile, CrumpleCommand};
-pub use config::{AssessConfig, AssessConfigError, CONFIG_VERSION, RatesConfig, SearchConfig};
+pub use config::{AssessConfig, AssessConfigError, CONFIG_VERSION, HarmConfig, RatesConfig, SearchConfig};
 pub use document::ReportDocument;
 pub use gate::{AssessmentGate, GateResult};
 pub use parts::{
-    Argument, AssessmentChange, AssessmentComparison, AssessmentLimits, AssessmentProvenance, CertificateStatus,
-    CertificateSubject, CheckedCertificate, ClaimRow, ClaimSummary, ComparisonError, ControllerSample,
-    ControllerUsefulness, DistinctFailure, EXAMPLE_MPS, EarlierAssessment, EscapeFile, FailureMap, FailureMapAxis,
-    FailureMaps, FailureSearch, FailureSearches, FileScenarios, FirstPage, FixedParameter, Glossary, GsnElement,
-    GsnElementKind, KernelGap, LimitingAssumption, MAX_EVIDENCE_BYTES, MapCell, MapRow, MethodResult, MildestAttack,
-    NameExplanation, PairedCounts, PaperScenarios, ParameterDescription, PercentInterval, Proofs, RunInfo,
-    SafetyAnswer, ScenarioCases, SpaceDescription, SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches,
-    SpaceSpecificationSearches, SpecificationSearch, SpecificationSearches, SpecificationViolation,
-    StringStabilityVerdict, SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites, UnknownCell,
-    UsefulnessReport, WorstProfile, WorstProfiles,
+    ACTIVATION_MPS2, Argument, AssessmentChange, AssessmentComparison, AssessmentLimits, AssessmentProvenance,
+    CertificateStatus, CertificateSubject, CheckedCertificate, ClaimRow, ClaimSummary, ComparisonError, ControllerHarm,
+    ControllerSample, ControllerUsefulness, DistinctFailure, EXAMPLE_MPS, EarlierAssessment, EscapeFile, FailureSearch,
+    FailureSearches, FileScenarios, FirstPage, Glossary, GsnElement, GsnElementKind, HarmGroup, HarmReport, KernelGap,
+    LimitingAssumption, MAX_EVIDENCE_BYTES, MethodResult, MildestAttack, NameExplanation, PairedCounts, PaperScenarios,
+    ParameterDescription, PercentInterval, Proofs, RunInfo, SafetyAnswer, ScenarioCases, SpaceDescription,
+    SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches, SpaceSpecificationSearches, SpecificationSearch,
+    SpecificationSearches, SpecificationViolation, StringStabilityVerdict, SuiteFailure, SuiteFindings, SuiteOutcome,
+    SuiteTest, Suites, UsefulnessReport, WorstProfile, WorstProfiles,
 };
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
@@ -87,6 +86,9 @@ pub struct AssessmentReport {
     /// Failures counted on random scenarios of scenario spaces.
     #[serde(rename = "distributions")]
     pub rate_spaces: SpaceSamples,
+    /// Collisions ahead and behind, and harm; absent unless the configuration asks for them.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub harm: Option<HarmReport>,
     /// Scenarios from files; absent if the configuration names none.
     #[serde(rename = "traffic")]
     pub file_scenarios: Option<FileScenarios>,
@@ -101,8 +103,6 @@ pub struct AssessmentReport {
     pub specification_searches: Option<SpecificationSearches>,
     /// Mildest braking of the leader against each controller.
     pub worst_profiles: Option<WorstProfiles>,
-    /// Outcome of each controller over two parameters, and the unavoidable cells.
-    pub failure_maps: Option<FailureMaps>,
     /// Behaviour of each controller in everyday traffic; absent if the plan makes no such drives.
     pub usefulness: Option<UsefulnessReport>,
     /// Proved claims.
@@ -221,12 +221,12 @@ pub fn assess(
     let work = GatherContext::new(plan, cache, ProgressCounter::new(observer, Some(plan.runs())));
     let paper_scenarios = PaperScenarios::gather(&work)?;
     let rate_spaces = SpaceSamples::gather(&work)?;
+    let harm = HarmReport::gather(&work)?;
     let traffic = FileScenarios::gather(&work)?;
     let suites = Suites::gather(&work)?;
     let searches = FailureSearches::gather(&work)?;
     let rules = SpecificationSearches::gather(&work)?;
     let worst_profiles = WorstProfiles::gather(&work)?;
-    let failure_maps = FailureMaps::gather(&work)?;
     let usefulness = UsefulnessReport::gather(&work)?;
     let scenarios = paper_scenarios.iter().flat_map(|paper| &paper.scenarios);
     let scenarios = scenarios.chain(traffic.iter().flat_map(|traffic| &traffic.scenarios));
@@ -259,12 +259,12 @@ pub fn assess(
         evidence,
         paper_scenarios,
         rate_spaces,
+        harm,
         file_scenarios: traffic,
         suites,
         searches,
         specification_searches: rules,
         worst_profiles,
-        failure_maps,
         usefulness,
         proofs,
         limits,
@@ -287,8 +287,8 @@ impl AssessmentPlan {
         // A search has a method and two reference searches.
         let searched_by = 1 + self.config.search.specifications.len() as u64;
         let searches = 3 * self.search_spaces.len() as u64 * self.config.search.budget * searched_by;
-        let each =
-            scenarios + self.config.draws * self.rate_spaces.len() as u64 + searches + parts::ATTACK_BUDGET as u64;
+        let drawn = self.config.draws * self.rate_spaces.len() as u64 * if self.config.harm.is_some() { 2 } else { 1 };
+        let each = scenarios + drawn + searches + parts::ATTACK_BUDGET as u64;
         let learned = self.controllers.iter().filter(|controller| controller.kind.is_learned()).count() as u64;
         let driven = controllers.saturating_mul(2 * self.config.everyday_draws);
         let counted = self.rate_spaces.len() as u64 * (learned + 1);
@@ -315,6 +315,7 @@ impl AssessmentReport {
         parts.extend(self.suites.as_ref().map(|suites| suites as &dyn ReportPart));
         let (is_drawn, is_searched) = (!self.rate_spaces.spaces.is_empty(), !self.searches.spaces.is_empty());
         parts.extend(is_drawn.then_some(&self.rate_spaces as &dyn ReportPart));
+        parts.extend(self.harm.as_ref().map(|harm| harm as &dyn ReportPart));
         parts.extend(is_searched.then_some(&self.searches as &dyn ReportPart));
         parts.extend(self.specification_searches.as_ref().map(|rules| rules as &dyn ReportPart));
         parts.extend(self.usefulness.as_ref().map(|usefulness| usefulness as &dyn ReportPart));
@@ -327,7 +328,6 @@ impl AssessmentReport {
     pub fn appendix(&self) -> Vec<&dyn ReportPart> {
         let mut parts: Vec<&dyn ReportPart> = Vec::new();
         parts.extend(self.worst_profiles.as_ref().map(|worst| worst as &dyn ReportPart));
-        parts.extend(self.failure_maps.as_ref().map(|maps| maps as &dyn ReportPart));
         parts.extend([&self.space_descriptions as &dyn ReportPart, &Glossary, &self.provenance]);
         parts
     }
@@ -371,6 +371,7 @@ impl AssessmentReport {
             ("assessment.gsn.yaml".to_owned(), self.argument.to_yaml()),
             ("replay.sh".to_owned(), commands::replay_script(self.commands())),
         ];
+        texts.extend(self.harm.iter().map(|harm| ("runs.csv".to_owned(), harm.runs_csv().to_owned())));
         let figures = self.paper_scenarios.iter().flat_map(PaperScenarios::figure_files);
         texts.extend(figures.map(|(name, svg)| (name, svg.document())));
         texts.extend(self.proofs.certificates.iter().map(|proof| (proof.file.clone(), proof.text.clone())));

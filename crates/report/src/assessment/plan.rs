@@ -368,6 +368,12 @@ impl PlanLoader<'_> {
             format!("must be from 1 to {MAX_EVALUATIONS}, found {budget}")
         })?;
         self.ensure(runs <= MAX_DRAWS, "rates.runs", || format!("must be at most {MAX_DRAWS}, found {runs}"))?;
+        if let Some(harm) = &config.harm {
+            let rate = harm.emergencies_per_hour;
+            self.ensure((0.0..=3600.0).contains(&rate), "harm.emergencies_per_hour", || {
+                format!("must be from 0 to 3600, found {rate}")
+            })?;
+        }
         let confidence = config.rates.confidence;
         self.ensure(confidence > 0.5 && confidence < 1.0, "rates.confidence", || {
             format!("must be between 0.5 and 1, found {confidence}")

@@ -21,6 +21,7 @@ mod panel;
 mod path;
 #[cfg(feature = "png")]
 mod png;
+mod robustness;
 mod scale;
 mod theme;
 mod vehicle_names;
@@ -29,7 +30,6 @@ use maud::{Markup, PreEscaped, html};
 
 pub use animation::{ANIMATION_SCRIPT, ANIMATION_STYLE, draw_animation};
 pub use axis::{Axis, BOTTOM_MARGIN, LEFT_MARGIN};
-pub(crate) use cells::grid_rects;
 pub use cells::{CellStyle, LegendEntry, draw_cells, draw_legend};
 pub use label::{PixelRect, text_width};
 pub use motion::{MotionFigure, PanelArrangement, draw_motion, draw_motion_on_axes, draw_motion_responsive};
@@ -39,7 +39,7 @@ pub use panel::{Anchor, HEADING_HEIGHT, Marker, Panel, draw_marker, draw_text};
 pub(crate) use path::PixelPoint;
 #[cfg(feature = "png")]
 pub use png::DrawError;
-pub(crate) use scale::Ticks;
+pub use robustness::add_robustness;
 pub use scale::{extent, format_number, pad_interval};
 pub use theme::{Ink, SMALL_TEXT_SIZE, STYLE, Stroke};
 pub use vehicle_names::vehicle_names;

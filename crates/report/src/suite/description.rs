@@ -11,6 +11,9 @@ pub(crate) fn describe_verdict(verdict: &TestVerdict) -> String {
         TestVerdict::Failed { time_s, impact_speed_mps } => {
             format!("FAILED, collision at {time_s:.2} s with {impact_speed_mps:.1} m/s")
         }
+        TestVerdict::Braked { max_brake_mps2 } => {
+            format!("FAILED: brakes with {max_brake_mps2:.1} m/s² although nothing is in the way")
+        }
         TestVerdict::ControllerFailed { time_s, reason } => format!("CONTROLLER FAILED at {time_s:.2} s: {reason}"),
         TestVerdict::Refused { reason } => format!("REFUSED: {reason}"),
     }
@@ -112,6 +115,12 @@ pub(crate) fn describe_preventability(failed: &FailedPoint) -> String {
     let mut words: Vec<_> =
         failed.references.iter().map(|run| format!("{} {}", run.driver, describe_prevention(run.prevention))).collect();
     words.extend(failed.avoidability.describe());
+    if failed.escape_survives_multi_body == Some(false) {
+        words.push("with the multi-body plant the escape COLLIDES".to_owned());
+    }
+    if failed.survives_multi_body == Some(false) {
+        words.push("with the multi-body plant the point passes".to_owned());
+    }
     words.join("; ")
 }
 

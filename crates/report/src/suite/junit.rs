@@ -26,7 +26,7 @@ fn junit_case(test: &TestResult, tested: &ControllerResult) -> JunitCase {
         name: format!("{}: {}", test.name, tested.controller),
         status: match &tested.verdict {
             TestVerdict::Passed if within.is_none() => JunitStatus::Passed,
-            TestVerdict::Passed | TestVerdict::Failed { .. } => JunitStatus::Failed,
+            TestVerdict::Passed | TestVerdict::Failed { .. } | TestVerdict::Braked { .. } => JunitStatus::Failed,
             TestVerdict::ControllerFailed { .. } => JunitStatus::Error,
             TestVerdict::Refused { .. } => JunitStatus::Skipped,
         },

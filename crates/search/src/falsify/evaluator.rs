@@ -31,25 +31,15 @@ impl Evaluator<'_> {
     pub(super) fn evaluate_all(&self, asked: &[(&Scenario, u32)]) -> Vec<Result<RunVerdict, SpecificationError>> {
         let own = self.evaluate_with(self.controller, asked);
         let Some(criterion) = self.failure_criterion else { return own };
-        let partners: Vec<Option<Scenario>> = asked.iter().map(|(scenario, _)| criterion.partner(scenario)).collect();
-        let there: Vec<(&Scenario, u32)> =
-            partners.iter().zip(asked).filter_map(|(partner, (_, parts))| Some((partner.as_ref()?, *parts))).collect();
-        let mut beside = self.evaluate_with(criterion.partner_controller(self.controller), &there).into_iter();
-        let pairs = own.into_iter().zip(&partners);
-        pairs
-            .map(|(own, partner)| {
-                let beside = partner.as_ref().and_then(|_| beside.next()).transpose();
-                Ok(FailureCriterion::combine_verdicts(own?, beside?))
-            })
-            .collect()
+        let beside = self.evaluate_with(criterion.partner_controller(), asked);
+        let pairs = own.into_iter().zip(beside);
+        pairs.map(|(own, beside)| Ok(FailureCriterion::combine_verdicts(own?, beside?))).collect()
     }
 
     /// Returns the reason why the controller of the partner simulation gives no answer; `None` if it answers.
     pub(super) fn partner_failure_reason(&self, scenario: &Scenario) -> Option<String> {
-        let criterion = self.failure_criterion?;
-        let partner = criterion.partner(scenario)?;
-        let options = run_options(criterion.partner_controller(self.controller), self.estimator, &partner, 1);
-        let run = Run::new(&partner, options.with_after_contact(self.specification.after_contact())).ok()?;
+        let options = run_options(self.failure_criterion?.partner_controller(), self.estimator, scenario, 1);
+        let run = Run::new(scenario, options.with_after_contact(self.specification.after_contact())).ok()?;
         simulate(&run, RecordingLevel::Summary).outcome.failed_controller().map(FailedController::reason)
     }
 

@@ -46,42 +46,7 @@ pub enum Method {
 ///
 /// A campaign records the name, and does not resume with a method of another name. `crumple explore`
 /// cannot show it, because it reads the method from a file.
-///
-/// ```
-/// use crumple_core::observer::Quiet;
-/// use crumple_search::falsify::campaign::{Campaign, CampaignOptions};
-/// use crumple_search::falsify::{CustomMethod, Method, SearchAlgorithm, UnitCube};
-/// use crumple_world::control::ControllerSpec;
-/// use crumple_world::scenario::space::built_in_space;
-///
-/// /// Proposes points on the diagonal of the cube, and ignores their values.
-/// #[derive(Debug)]
-/// struct Diagonal {
-///     dimension: usize,
-///     proposed: u32,
-/// }
-///
-/// impl SearchAlgorithm for Diagonal {
-///     fn ask(&mut self) -> Vec<Vec<f64>> {
-///         self.proposed += 1;
-///         vec![vec![(0.618 * f64::from(self.proposed)).fract(); self.dimension]]
-///     }
-///
-///     fn tell(&mut self, _robustness: &[f64]) {}
-/// }
-///
-/// let start = |cube: &UnitCube, _seed| -> Box<dyn SearchAlgorithm> {
-///     Box::new(Diagonal { dimension: cube.dimension(), proposed: 0 })
-/// };
-/// let campaign = Campaign {
-///     method: Method::Custom(CustomMethod::new("diagonal", start).unwrap()),
-///     budget: 20,
-///     ..Campaign::new(ControllerSpec::from_name("match-leader").unwrap(), built_in_space("high-risk").unwrap())
-/// };
-/// let folder = tempfile::tempdir().unwrap();
-/// let summary = campaign.run(folder.path(), CampaignOptions::default(), &Quiet).unwrap();
-/// assert_eq!((summary.method.as_str(), summary.methods[0].evaluations), ("diagonal", 20));
-/// ```
+/// `docs/optimisers.md` in the repository has a complete example.
 #[derive(Clone)]
 pub struct CustomMethod {
     name: Arc<str>,

@@ -32,5 +32,5 @@ mod test_functions;
 mod uniform;
 
 pub use cube::{EmptyBlock, UnitCube};
-pub use failure_criterion::{FailureCriterion, FailureCriterionRecord, MetamorphicRelation, UnknownRelation};
+pub use failure_criterion::{FailureCriterion, FailureCriterionRecord};
 pub use method::{CustomMethod, InvalidMethodName, Method, SearchAlgorithm, UnknownMethod};

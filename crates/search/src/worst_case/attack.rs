@@ -217,13 +217,7 @@ pub fn attack(
     if !scenario.keeps_lanes() {
         return Err(AttackError::LaneChanges);
     }
-    let (vehicles, steps) = (scenario.vehicles().len(), scenario.steps());
-    if vehicles.saturating_mul(steps) > MAX_VEHICLE_STEPS {
-        return Err(AttackError::TooLarge { vehicles, steps });
-    }
-    if vehicles.saturating_mul(steps).saturating_mul(budget) > MAX_TOTAL_VEHICLE_STEPS {
-        return Err(AttackError::TooManySimulations { budget, vehicles, steps });
-    }
+    check_size(scenario, budget)?;
     let requested_mps2 = envelope.max_brake_mps2;
     let max_brake_mps2 = requested_mps2.min(scenario.usable_brake_mps2(0));
     if !(max_brake_mps2 > 0.0 && envelope.jerk_mps3 > 0.0) || requested_mps2.is_nan() {
@@ -243,4 +237,17 @@ pub fn attack(
         sequential::attack(&mut bench, aim, budget)?
     };
     Ok(AttackResult { attack: found, evaluations: bench.evaluations, programs: bench.programs })
+}
+
+/// Checks the size of a scenario, and that of `budget` simulations of it.
+pub(super) fn check_size(scenario: &Scenario, budget: usize) -> Result<(), AttackError> {
+    let (vehicles, steps) = (scenario.vehicles().len(), scenario.steps());
+    let all = vehicles.saturating_mul(steps);
+    if all > MAX_VEHICLE_STEPS {
+        Err(AttackError::TooLarge { vehicles, steps })
+    } else if all.saturating_mul(budget) > MAX_TOTAL_VEHICLE_STEPS {
+        Err(AttackError::TooManySimulations { budget, vehicles, steps })
+    } else {
+        Ok(())
+    }
 }

@@ -13,6 +13,9 @@
 //! collide, or the fastest impact. It is exact for the baseline, whose motion follows from its firing step (`exact`).
 //! For other controllers it combines pulses, ramps and sequential convex programming (`pulses`, `sequential`).
 //!
+//! **Sensor faults** ([`attack_sensors`]). A scan and a bisection find the mildest fault of each kind that makes a
+//! controller collide or brake unnecessarily (`sensor_attack`).
+//!
 //! No solution is trusted: each profile is replayed, and each proof is checked from its multipliers.
 
 mod attack;
@@ -35,6 +38,7 @@ mod pulses;
 mod reason;
 mod report;
 mod scripted_leader;
+mod sensor_attack;
 mod sequential;
 
 pub use attack::{
@@ -50,3 +54,4 @@ pub use emergency_brake::EmergencyBrake;
 pub use escape::{Escape, FoundBy};
 pub use reason::UndecidedReason;
 pub use report::AttackReport;
+pub use sensor_attack::{FaultKindResult, MildestFault, SensorAttackResult, SensorFailure, attack_sensors};

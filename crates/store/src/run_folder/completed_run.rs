@@ -105,15 +105,7 @@ impl CompletedRun {
         }
     }
 
-    /// Returns the error about a file that is not JSON of the expected form.
-    #[must_use]
-    pub fn unreadable_error(&self, name: &str, error: &serde_json::Error) -> RunFolderError {
-        self.damaged_error(name, format!("line {}, column {}: not as crumple writes it", error.line(), error.column()))
-    }
-
-    /// Returns an error about one of its files.
-    #[must_use]
-    pub fn damaged_error(&self, name: &str, problem: impl std::fmt::Display) -> RunFolderError {
+    fn damaged_error(&self, name: &str, problem: impl std::fmt::Display) -> RunFolderError {
         RunFolderError::damaged(&self.folder.join(name), problem.to_string())
     }
 }

@@ -26,6 +26,14 @@ macro_rules! with_controllers {
                 AccAeb,
                 /// Predicts the stopping places of leader and follower, and drives between them.
                 Predictive,
+                /// A configurable emergency brake.
+                EmergencyBrake,
+                /// Autoware's emergency brake.
+                AutowareAeb,
+                /// The longitudinal limits of openpilot.
+                Openpilot,
+                /// A human driver.
+                Human,
                 /// Reference driver: the competent and careful human of UN R157.
                 CompetentHuman,
                 /// Reference driver: the simple model of UN R157.
@@ -52,6 +60,7 @@ macro_rules! with_controllers {
 }
 
 mod acc_aeb;
+mod autoware_aeb;
 mod baseline;
 mod batch_query;
 mod built_in;
@@ -59,13 +68,16 @@ mod checker_file;
 mod competent_human;
 mod constant_brake;
 mod decision_timer;
+mod emergency_brake;
 mod fuzzy_safety;
 mod history;
+mod human;
 mod idm;
 mod kind;
 mod mapping;
 mod match_leader;
 mod network;
+mod openpilot;
 mod policy;
 mod predictive;
 mod process;
@@ -79,17 +91,21 @@ mod stress;
 
 pub use crate::observation::ObservedQuantity;
 pub use acc_aeb::{AccAeb, AccAebSettings};
+pub use autoware_aeb::{AutowareAeb, AutowareAebSettings};
 pub use baseline::{AebSettings, Baseline, BaselineUnlatched};
 pub(crate) use built_in::AnyController;
 pub use built_in::{BuiltIn, ControllerSpec, InvalidSetting, Role};
 pub use competent_human::{CompetentHuman, CompetentHumanSettings};
 pub use constant_brake::{ConstantBrake, ConstantBrakeSettings};
+pub use emergency_brake::{EmergencyBrake, EmergencyBrakeSettings};
 pub use fuzzy_safety::{FuzzySafety, FuzzySafetySettings};
+pub use human::{Human, HumanSettings};
 pub use kind::{ControllerKind, ShieldedSource};
 pub use mapping::{HistoryPadding, InputMapping, InvalidMapping, Mapping, OutputMapping, Squash};
 pub use match_leader::MatchLeader;
 pub use network::NetworkController;
 pub(crate) use network::NetworkDriver;
+pub use openpilot::{Openpilot, OpenpilotSettings};
 pub use policy::{PolicyDriver, ReferencePolicy, RetrainedPolicy, RoadPolicy};
 pub use predictive::{Predictive, PredictiveSettings};
 pub(crate) use process::ProcessDriver;

@@ -3,8 +3,8 @@
 use std::fmt;
 
 use super::stl::{
-    Formula, FormulaParseError, MonitorError, SampledSignals, SignalsError, motion_signal_names, motion_signals,
-    signal_column,
+    Formula, FormulaParseError, FormulaPart, MonitorError, SampledSignals, SignalsError, motion_signal_names,
+    motion_signals, signal_column,
 };
 use super::{ContactRole, DrivingRule};
 use crate::scenario::{Scenario, VehicleClass};
@@ -81,6 +81,12 @@ pub enum SpecificationError {
     /// A run without a trace.
     #[error("the run has no trace")]
     NoTrace,
+    /// A formula whose parts need too much memory.
+    #[error("the parts of the formula have {values} values, more than {MAX_PART_VALUES}")]
+    TooManyParts {
+        /// Number of parts times samples.
+        values: usize,
+    },
 }
 
 /// Verdict of a run.
@@ -161,6 +167,9 @@ impl BrakingLevel {
         }
     }
 }
+
+/// Maximum number of values that [`Specification::parts_over_time`] returns.
+const MAX_PART_VALUES: usize = 20_000_000;
 
 /// Smallest violation: a contact at impact speed 0 must have negative robustness.
 const MIN_VIOLATION: f64 = 1e-9;
@@ -259,6 +268,25 @@ impl Specification {
         };
         let failed = result.outcome.failed_controller().map(|failed| (failed.time_s, failed.vehicle as u32));
         Ok(RunVerdict { robustness, contact: first_contact(run, result), failure: failed })
+    }
+
+    /// Returns the parts of a formula and their robustness over time, one sample per time step of the run; nothing for
+    /// other specifications.
+    ///
+    /// # Errors
+    /// [`SpecificationError`] if the formula does not fit the run.
+    pub fn parts_over_time(
+        &self,
+        run: &Run,
+        result: &SimulationResult,
+    ) -> Result<Vec<FormulaPart>, SpecificationError> {
+        let Self::Formula(formula) = self else { return Ok(Vec::new()) };
+        let trace = result.trace.as_ref().ok_or(SpecificationError::NoTrace)?;
+        let values = formula.part_count() * trace.time_s.len();
+        if values > MAX_PART_VALUES {
+            return Err(SpecificationError::TooManyParts { values });
+        }
+        Ok(formula.parts_over_time(&motion_signals(trace, run.dt_s(), &formula.signal_names())?)?)
     }
 }
 

@@ -4,12 +4,13 @@ use std::path::Path;
 
 use super::dropped::Omission;
 use super::error::RecordingError;
+use super::load::load_first_rows;
 use super::map::{
     ClockSpec, LayoutSpec, LengthColumnSpec, LengthSpec, LengthUnit, PairsSpec, PositionSpec, RecordingMap,
     RecordingMapSpec, ReferencePoint, RelativeSpeedSpec, Sign, Spacing, SpacingSpec, SpeedSpec, SpeedUnit, TimeSpec,
     TimeUnit, TracksSpec,
 };
-use super::{LineProblem, Recording, binary, load_first_part};
+use super::{LineProblem, Recording, binary};
 
 /// Words in the names of columns, in lower case.
 const TIMES: &[&str] = &["time", "timestamp", "t", "zeit", "sec", "seconds"];
@@ -66,7 +67,7 @@ pub struct MapDraft {
     pub map: RecordingMapSpec,
     /// Name of the built-in map, if it is one.
     pub built_in: Option<&'static str>,
-    /// The recording, or its first part, read with it.
+    /// The first rows of the recording, read with it.
     pub recording: Recording,
 }
 
@@ -200,7 +201,7 @@ pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
         _ => RecordingMap::recognise(names.iter().map(String::as_str)),
     };
     if let Some(Ok(map)) = built_in.and_then(RecordingMap::built_in)
-        && let Ok(recording) = load_first_part(path, Some(&map))
+        && let Ok(recording) = load_first_rows(path, &map)
     {
         return Ok(Some(MapDraft { map: map.spec().clone(), built_in, recording }));
     }
@@ -208,7 +209,7 @@ pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
     let mut second_choice = None;
     for map in candidates(&columns) {
         let Ok(checked) = RecordingMap::new(map.clone()) else { continue };
-        match load_first_part(path, Some(&checked)) {
+        match load_first_rows(path, &checked) {
             Ok(recording) => {
                 let contradicts = |what: &Omission| {
                     matches!(what, Omission::ColumnsContradict(_) | Omission::SpeedsContradict { .. })
@@ -229,7 +230,19 @@ pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
 
 #[cfg(test)]
 mod tests {
+    use super::super::parts::PART_ROWS;
     use super::*;
+
+    /// A draft needs only the first rows, although an import sorts all rows of tracks.
+    #[test]
+    fn drafts_depend_on_the_first_rows() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("long.csv");
+        let row = |row: usize| format!("{:.1},1,1,{:.1},20\n", row as f64 / 10.0, row as f64 * 2.0);
+        let rows: String = (0..PART_ROWS + 10).map(row).collect();
+        std::fs::write(&path, format!("time,id,lane,x,v\n{rows}damaged\n")).unwrap();
+        assert!(matches!(guess(&path).unwrap().expect("a draft").map.layout, LayoutSpec::Tracks(_)));
+    }
 
     /// Units and signs follow from the consistency of gaps and speeds, whatever the names say.
     #[test]

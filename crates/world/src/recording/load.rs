@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use super::error::{LineProblem, RecordingError};
 use super::map::{LayoutSpec, RecordingMap, RecordingMapSpec};
-use super::parts::PartSink;
+use super::parts::{PART_ROWS, PartSink};
 use super::table::{self, CsvRow, RowReader};
 use super::{Recording, binary, pairs, platoons, traffic};
 
@@ -29,12 +29,26 @@ pub fn load(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, Record
 /// # Errors
 /// Those of [`load`].
 pub fn load_first_part(path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
+    first_part(path, |each| load_parts(path, map, None, each))
+}
+
+fn first_part(
+    path: &Path,
+    read: impl FnOnce(&mut PartSink<'_>) -> Result<(), RecordingError>,
+) -> Result<Recording, RecordingError> {
     let mut first = None;
-    load_parts(path, map, None, &mut |part| {
+    read(&mut |part| {
         first = Some(part);
         Ok(false)
     })?;
     first.ok_or_else(|| RecordingError::Empty { path: path.to_owned() })
+}
+
+/// Reads the first rows of a recording file, as many as the core of a part has, in the order of the file.
+pub(super) fn load_first_rows(path: &Path, map: &RecordingMap) -> Result<Recording, RecordingError> {
+    let mut table = open(path, Some(map), None)?;
+    table.rows_left = PART_ROWS;
+    first_part(path, |each| read_rows(table, path, Some(map), each))
 }
 
 /// Reads a recording file in parts, so that memory stays bounded: a part has about 500 000 rows, and overlaps the next
@@ -49,16 +63,23 @@ pub fn load_parts(
     progress: Option<&ReadProgress>,
     each: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
+    read_rows(open(path, map, progress)?, path, map, each)
+}
+
+fn open<'p>(
+    path: &'p Path,
+    map: Option<&RecordingMap>,
+    progress: Option<&ReadProgress>,
+) -> Result<RowReader<'p>, RecordingError> {
     let error = |source| RecordingError::Read { path: path.to_owned(), source };
     let mut file = binary::RecordingFile::open(path, progress).map_err(error)?;
     let mut start = Vec::new();
     file.by_ref().take(binary::START_BYTES).read_to_end(&mut start).map_err(error)?;
     let spec = map.map(RecordingMap::spec);
-    let table = match binary::BinaryFormat::detect(&start) {
-        Some(format) => binary::open(format, binary::Input::File(file), path, spec)?,
-        None => RowReader::new(Cursor::new(start).chain(file), path, spec)?,
-    };
-    read_rows(table, path, map, each)
+    match binary::BinaryFormat::detect(&start) {
+        Some(format) => binary::open(format, binary::Input::File(file), path, spec),
+        None => RowReader::new(Cursor::new(start).chain(file), path, spec),
+    }
 }
 
 /// Returns the only part of a recording.

@@ -15,6 +15,8 @@ mod consistency;
 mod dropped;
 mod episode;
 mod episodes;
+#[cfg(test)]
+mod episodes_tests;
 mod error;
 mod exposure;
 pub mod guess;
@@ -57,6 +59,8 @@ mod text_rows;
 mod text_tests;
 mod tracks;
 mod traffic;
+#[cfg(test)]
+mod traffic_tests;
 
 use std::ops::Range;
 use std::path::PathBuf;

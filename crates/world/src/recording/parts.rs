@@ -12,8 +12,8 @@ pub(super) const PART_ROWS: usize = 500_000;
 pub(super) const PART_ROWS: usize = 20_000;
 /// Number of speeds and gaps in the core of a part.
 const PART_VALUES: usize = 4 * PART_ROWS;
-/// Largest number of rows of a part with its margins.
-pub(super) const MAX_POINTS: usize = 3 * PART_ROWS;
+/// Largest number of rows of a part. Margins of dense traffic are shorter, so that only rows of one time exceed it.
+pub(super) const MAX_POINTS: usize = 5 * PART_ROWS;
 /// Time of a margin, in milliseconds: longer than a braking episode with its reaction.
 pub(super) const MARGIN_MS: i64 = 60_000;
 
@@ -42,7 +42,7 @@ impl PartBounds {
         if self.core_ms.end == i64::MAX && (self.rows > PART_ROWS || self.rows * self.values_per_row > PART_VALUES) {
             self.core_ms.end = time_ms;
         }
-        time_ms >= self.core_ms.end.saturating_add(MARGIN_MS) || self.rows > MAX_POINTS
+        time_ms >= self.core_ms.end.saturating_add(MARGIN_MS) || self.rows > 2 * PART_ROWS
     }
 
     /// Begins the next part. Returns the core of the part before, and the start of the next part with its margin.

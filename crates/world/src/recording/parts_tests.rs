@@ -2,7 +2,7 @@ use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use super::map::RecordingMap;
-use super::parts::PART_ROWS;
+use super::parts::{MAX_POINTS, PART_ROWS};
 use super::{DroppedItem, ImportOptions, ImportResult, import, load_parts};
 
 /// Speeds in m/s of a leader that brakes by 6 m/s each two minutes.
@@ -64,6 +64,13 @@ fn platoon(minutes: usize) -> String {
     text
 }
 
+fn tracks_map() -> RecordingMap {
+    let map = "version = 1\nname = \"t\"\ntime.clock = { column = \"time\" }\n[layout.tracks]\nvehicle = \"id\"\n\
+        lane = \"lane\"\nposition = { column = \"x\", of = \"front\" }\n\
+        speed = { column = \"speed\" }\nlength.metres = 4.5\n";
+    RecordingMap::from_toml(map, Path::new("t.toml")).unwrap()
+}
+
 fn imported(text: &str, map: Option<&RecordingMap>) -> (usize, ImportResult) {
     let folder = tempfile::tempdir().unwrap();
     let path: PathBuf = folder.path().join("long.csv");
@@ -80,10 +87,7 @@ fn imported(text: &str, map: Option<&RecordingMap>) -> (usize, ImportResult) {
 /// Every braking of a recording of several parts makes one scenario, with the same speeds everywhere.
 #[test]
 fn episodes_of_long_recordings_are_those_of_short_ones() {
-    let map = "version = 1\nname = \"t\"\ntime.clock = { column = \"time\" }\n[layout.tracks]\nvehicle = \"id\"\n\
-        lane = \"lane\"\nposition = { column = \"x\", of = \"front\" }\n\
-        speed = { column = \"speed\" }\nlength.metres = 4.5\n";
-    let map = RecordingMap::from_toml(map, Path::new("t.toml")).unwrap();
+    let map = tracks_map();
     // At least two and a half parts.
     let minutes = 5 * PART_ROWS / 1200 / 4 * 4 + 4;
     for (text, map, per_period) in [
@@ -103,4 +107,35 @@ fn episodes_of_long_recordings_are_those_of_short_ones() {
         let dropped: Vec<_> = dropped.filter(|text| !text.contains("no vehicle is recorded behind it")).collect();
         assert!(dropped.is_empty(), "{dropped:?}");
     }
+}
+
+/// Rows of a minute exceed a part. Each row of the same vehicle is half a second after the one before.
+#[test]
+fn memory_is_bounded_for_dense_traffic() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("dense.csv");
+    let parts = |vehicle: &dyn Fn(usize) -> usize, step_s: f64, rows: usize| {
+        let mut text = "time,id,lane,x,speed\n".to_owned();
+        for row in 0..rows {
+            let (at_s, id) = ((row / 500) as f64 * step_s, vehicle(row));
+            writeln!(text, "{at_s},{id},{},{:.1},20", row % 500, 20.0 * at_s).unwrap();
+        }
+        std::fs::write(&path, text).unwrap();
+        let mut sizes = Vec::new();
+        load_parts(&path, Some(&tracks_map()), None, &mut |part| {
+            let samples = part.lead_vehicles().into_iter().flat_map(|lead| lead.segments()).map(|one| one.len());
+            sizes.push(samples.sum::<usize>());
+            Ok(true)
+        })
+        .map(|()| sizes)
+        .map_err(|error| error.to_string())
+    };
+    let sizes = parts(&|row| row % 500, 0.5, 8 * PART_ROWS).unwrap();
+    assert!(sizes.len() > 3 && sizes.iter().all(|&rows| rows > PART_ROWS && rows <= MAX_POINTS), "{sizes:?}");
+    let refusals = [
+        parts(&|row| row % 500, 0.0, MAX_POINTS + PART_ROWS).unwrap_err(),
+        parts(&|row| row, 0.5, 3 * PART_ROWS).unwrap_err(),
+    ];
+    assert!(refusals[0].contains("more than 100000 rows at one time"), "{refusals:?}");
+    assert!(refusals[1].contains("dense.csv:40002: more than 40000 vehicles"), "{refusals:?}");
 }

@@ -2,6 +2,7 @@
 
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
+use std::collections::binary_heap::PeekMut;
 use std::fs::{self, File};
 use std::io::{self, BufReader, BufWriter, Read, Seek, Write};
 use std::path::PathBuf;
@@ -52,10 +53,13 @@ impl SpilledPoints {
 
     /// Sorts points by time, writes them to a file, and clears them.
     pub(super) fn write(&mut self, points: &mut Vec<TrackPoint>) -> io::Result<()> {
-        points.sort_by_cached_key(|point| (point.time_ms, point.line));
+        // Points are in order of their lines. A stable sort merges the sorted rows of each vehicle.
+        let mut order: Vec<(i64, usize)> = points.iter().map(|point| point.time_ms).zip(0..).collect();
+        order.sort_by_key(|&(time_ms, _)| time_ms);
         let mut run = TemporaryFile::create()?;
         let mut out = BufWriter::new(&run.file);
-        points.drain(..).try_for_each(|point| out.write_all(&encode(&point)))?;
+        order.into_iter().try_for_each(|(_, index)| out.write_all(&encode(&points[index])))?;
+        points.clear();
         out.flush()?;
         drop(out);
         run.file.rewind()?;
@@ -67,9 +71,22 @@ impl SpilledPoints {
     pub(super) fn read(&mut self) -> io::Result<SortedPoints<'_>> {
         let runs = self.runs.iter_mut().map(|run| BufReader::with_capacity(1 << 16, &mut run.file));
         let mut sorted = SortedPoints { runs: runs.collect(), heads: Vec::new(), order: BinaryHeap::new() };
-        sorted.heads = vec![TrackPoint::default(); sorted.runs.len()];
-        (0..sorted.runs.len()).try_for_each(|run| sorted.advance(run))?;
+        for (run, file) in sorted.runs.iter_mut().enumerate() {
+            let head = read_point(file)?;
+            sorted.order.extend(head.map(|head| Reverse((head.time_ms, head.line, run))));
+            sorted.heads.push(head.unwrap_or_default());
+        }
         Ok(sorted)
+    }
+}
+
+/// Returns the next point of a file; `None` at its end.
+fn read_point(file: &mut impl Read) -> io::Result<Option<TrackPoint>> {
+    let mut bytes = [0; POINT_BYTES];
+    match file.read_exact(&mut bytes) {
+        Ok(()) => Ok(Some(decode(&bytes))),
+        Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(None),
+        Err(error) => Err(error),
     }
 }
 
@@ -83,24 +100,14 @@ pub(super) struct SortedPoints<'s> {
 
 impl SortedPoints<'_> {
     pub(super) fn next(&mut self) -> io::Result<Option<TrackPoint>> {
-        let Some(Reverse((_, _, run))) = self.order.pop() else { return Ok(None) };
-        let point = self.heads[run];
-        self.advance(run)?;
-        Ok(Some(point))
-    }
-
-    fn advance(&mut self, run: usize) -> io::Result<()> {
-        let mut bytes = [0; POINT_BYTES];
-        match self.runs[run].read_exact(&mut bytes) {
-            Ok(()) => {
-                let point = decode(&bytes);
-                self.order.push(Reverse((point.time_ms, point.line, run)));
-                self.heads[run] = point;
-                Ok(())
-            }
-            Err(error) if error.kind() == io::ErrorKind::UnexpectedEof => Ok(()),
-            Err(error) => Err(error),
-        }
+        let Some(mut first) = self.order.peek_mut() else { return Ok(None) };
+        let Reverse((_, _, run)) = *first;
+        let Some(next) = read_point(&mut self.runs[run])? else {
+            PeekMut::pop(first);
+            return Ok(Some(self.heads[run]));
+        };
+        *first = Reverse((next.time_ms, next.line, run));
+        Ok(Some(std::mem::replace(&mut self.heads[run], next)))
     }
 }
 

@@ -16,6 +16,8 @@ pub(super) struct RowReader<'a> {
     row: CsvRow<'a>,
     /// Number of decimals of the last column, and true if all rows have this number.
     decimals: Option<(usize, bool)>,
+    /// Number of rows until reading ends.
+    pub(super) rows_left: usize,
 }
 
 enum RowSource<'a> {
@@ -33,7 +35,7 @@ impl<'a> RowReader<'a> {
     /// Reads rows with named columns.
     pub(super) fn from_binary(rows: Box<dyn BinaryRows + 'a>, names: Fields, path: &'a Path) -> Self {
         let rows = RowSource::Binary { rows, names: Some(names) };
-        Self { path, rows, row: CsvRow::new(path, DecimalMark::Point), decimals: None }
+        Self { path, rows, row: CsvRow::new(path, DecimalMark::Point), decimals: None, rows_left: usize::MAX }
     }
 
     /// Detects the text format, as far as `map` does not state it.
@@ -46,7 +48,8 @@ impl<'a> RowReader<'a> {
         let rows = TextRows::new(from, |sample| TextFormat::detect(sample, map));
         let rows = rows.map_err(|error| start.io_error(error))?;
         let decimal = rows.format().decimal;
-        Ok(Self { path, rows: RowSource::Text(Box::new(rows)), row: CsvRow::new(path, decimal), decimals: None })
+        let (rows, row) = (RowSource::Text(Box::new(rows)), CsvRow::new(path, decimal));
+        Ok(Self { path, rows, row, decimals: None, rows_left: usize::MAX })
     }
 
     /// Returns the text format, with the encoding of what was read so far.
@@ -70,6 +73,8 @@ impl<'a> RowReader<'a> {
 
     /// Returns the next row that is not blank; `None` at the end of the file.
     pub(super) fn next_row(&mut self) -> Result<Option<&CsvRow<'a>>, RecordingError> {
+        let Some(rows_left) = self.rows_left.checked_sub(1) else { return Ok(None) };
+        self.rows_left = rows_left;
         let Self { rows, row, path, .. } = self;
         match rows {
             RowSource::Text(rows) => match rows.next_row(&mut row.fields) {

@@ -17,6 +17,8 @@ use super::tracks::{self, TrackPoint, TrackRules, VehicleId};
 use super::{RecordedTraffic, Recording, RecordingFormat, TextFormat};
 
 const MAX_LANES: usize = 10_000;
+/// Each takes about 200 bytes.
+const MAX_VEHICLES: usize = 2 * PART_ROWS;
 /// Longest id of a vehicle, in bytes.
 const MAX_ID_BYTES: usize = 200;
 
@@ -53,8 +55,10 @@ pub(super) fn read(
         let vehicle = vehicles.index(row, &vehicle)?;
         // A vehicle without a lane could be in any lane.
         let lane = lane.as_ref().map_or(Ok(0), |column| lanes.index(row, column))?;
-        if lanes.0.len() > MAX_LANES {
-            return row.reject_too_large(MAX_LANES, "lanes");
+        for (known, limit, what) in [(&lanes, MAX_LANES, "lanes"), (&vehicles, MAX_VEHICLES, "vehicles")] {
+            if known.indices.len() > limit {
+                return row.reject_too_large(limit, what);
+            }
         }
         let (position_m, speed_mps) = (position.read(row)?, speed.read(row)?);
         let length_m = length.as_mut().map_or(Ok(Some(constant_m)), |series| series.read(row))?;
@@ -98,12 +102,17 @@ pub(super) fn read(
     while let Some(point) = sorted.next().map_err(disk)? {
         if bounds.ends_before(point.time_ms) {
             let (core_ms, next_ms) = bounds.next();
-            let margin = points.partition_point(|known| known.time_ms < next_ms);
-            let margin = points.get(margin..).unwrap_or_default().to_vec();
+            let [margin, core_end] =
+                [next_ms, core_ms.end].map(|from_ms| points.partition_point(|known| known.time_ms < from_ms));
+            let margin = points[margin.max(core_end.saturating_sub(PART_ROWS))..].to_vec();
             let part = std::mem::replace(&mut points, margin);
             if !each(parts.part(part, core_ms)?)? {
                 return Ok(());
             }
+        }
+        if points.len() >= MAX_POINTS {
+            let problem = LineProblem::TooLarge { limit: MAX_POINTS, what: "rows at one time" };
+            return Err(RecordingError::Line { path: path.to_owned(), line: point.line, problem });
         }
         points.push(point);
     }
@@ -197,29 +206,39 @@ fn check(
 
 /// Texts, numbered in order of appearance.
 #[derive(Default)]
-struct TextIds(HashMap<String, u32>);
+struct TextIds {
+    indices: HashMap<String, u32>,
+    /// Last text: neighbouring rows often have the same.
+    last: (String, u32),
+}
 
 impl TextIds {
     fn index(&mut self, row: &CsvRow<'_>, column: &CsvColumn) -> Result<u32, RecordingError> {
         let text = row.text(column.index);
-        if let Some(&known) = self.0.get(text) {
-            return Ok(known);
-        }
         if text.is_empty() {
             return row.reject(&column.name, ColumnProblem::Empty);
+        }
+        if self.last.0 == text {
+            return Ok(self.last.1);
+        }
+        self.last.0.clear();
+        self.last.0 += text;
+        if let Some(&known) = self.indices.get(text) {
+            self.last.1 = known;
+            return Ok(known);
         }
         if text.len() > MAX_ID_BYTES {
             return row.reject(&column.name, ColumnProblem::LongId { limit: MAX_ID_BYTES, found: excerpt(text) });
         }
-        let next = self.0.len() as u32;
-        self.0.insert(text.to_owned(), next);
-        Ok(next)
+        self.last.1 = self.indices.len() as u32;
+        self.indices.insert(text.to_owned(), self.last.1);
+        Ok(self.last.1)
     }
 
     /// Returns the vehicles: by number if all ids are different whole numbers, which some tools write with a decimal
     /// point.
     fn into_vehicles(self) -> Vec<VehicleId> {
-        let mut texts: Vec<(String, u32)> = self.0.into_iter().collect();
+        let mut texts: Vec<(String, u32)> = self.indices.into_iter().collect();
         texts.sort_unstable_by_key(|(_, index)| *index);
         let numbers: BTreeSet<usize> = texts.iter().filter_map(|(text, _)| whole_number(text)).collect();
         let are_numbers = numbers.len() == texts.len();

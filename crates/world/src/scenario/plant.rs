@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use super::VehicleClass;
+use super::{Driver, InvalidField, Scenario, VehicleClass};
 
 /// Plant of a vehicle that a controller drives.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -59,5 +59,22 @@ impl BodyKind {
             VehicleClass::Light => Self::Bmw320i,
             VehicleClass::Heavy => Self::LorryLaden,
         }
+    }
+}
+
+impl Scenario {
+    /// Returns the scenario with a plant for all vehicles that a controller drives. Scripted vehicles do not change.
+    ///
+    /// # Errors
+    /// [`InvalidField`] in principle, if the changed scenario is invalid.
+    pub fn with_plant(&self, plant: PlantKind) -> Result<Self, InvalidField> {
+        self.edited(|spec| {
+            for vehicle in spec.vehicles.iter_mut().filter(|vehicle| !matches!(vehicle.driver, Driver::Profile(_))) {
+                vehicle.plant = plant;
+                if plant == PlantKind::PointMass {
+                    vehicle.body = None;
+                }
+            }
+        })
     }
 }

@@ -126,6 +126,12 @@ impl Stepper {
         self.loops.get(index)?.consulted.map(|(_, answer_mps2)| answer_mps2)
     }
 
+    /// Returns the impacts so far, in order of time.
+    #[must_use]
+    pub fn impacts(&self) -> &[Impact] {
+        &self.impacts
+    }
+
     /// Returns the state after a step, seen from vehicle `index`.
     #[must_use]
     pub fn view(&self, index: usize) -> StepView<'_> {

@@ -6,6 +6,7 @@ use std::path::Path;
 use serde::{Deserialize, Serialize};
 
 use super::failure_searches::CounterexampleFiles;
+use crate::assessment::avoidance::COLLIDING_ESCAPE;
 use crate::assessment::{CrumpleCommand, Rounded};
 use crate::export::openscenario::{OpenScenario, export_trajectories};
 use crumple_core::digest::sha256;
@@ -78,16 +79,19 @@ pub struct EscapeFile {
     pub sha256: String,
     /// Command that simulates the escape.
     pub replay: CrumpleCommand,
+    /// True if the escape has no collision with the multi-body plant either; absent if it cannot be run.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub survives_multi_body: Option<bool>,
     /// Content of the file; the cache stores it with the other files.
     #[serde(skip)]
     pub(super) text: String,
 }
 
 impl EscapeFile {
-    pub(super) fn for_counterexample(counterexample: &str, text: String) -> Self {
+    pub(super) fn new(counterexample: &str, text: String, survives_multi_body: Option<bool>) -> Self {
         let file = format!("{}-escape.toml", counterexample.trim_end_matches(".toml"));
         let replay = CrumpleCommand::new(["simulate", file.as_str(), "--expect", "safe"]);
-        Self { sha256: sha256(&text), file, replay, text }
+        Self { sha256: sha256(&text), file, replay, survives_multi_body, text }
     }
 }
 
@@ -119,6 +123,9 @@ pub struct DistinctFailure {
     pub class: AvoidabilityClass,
     /// Smallest gap of the best escape, in metres, rounded down.
     pub best_gap_m: Option<Rounded<2>>,
+    /// True if the scenario also fails with the multi-body plant; absent if the controller refuses the plant.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub survives_multi_body: Option<bool>,
     /// Best escape.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub escape: Option<EscapeFile>,
@@ -149,7 +156,7 @@ impl DistinctFailure {
         let file = format!("{place}/{name}");
         let CounterexampleFiles { counterexample: text, escape } = texts;
         Self {
-            escape: escape.map(|text| EscapeFile::for_counterexample(&file, text)),
+            escape: escape.map(|text| EscapeFile::new(&file, text, found.escape_survives_multi_body)),
             sha256: sha256(&text),
             replay: replay(&file),
             file,
@@ -160,6 +167,7 @@ impl DistinctFailure {
             max_delta_v_mps: found.max_delta_v_mps.map(Rounded::new),
             vehicles: found.vehicles_involved,
             class: found.avoidability.class(),
+            survives_multi_body: found.survives_multi_body,
             best_gap_m: found.avoidability.best_min_gap_m().map(Rounded::down),
             likelihood_rank: found.likelihood_rank,
             dt_fragile: found.dt_fragile,
@@ -223,10 +231,29 @@ impl DistinctFailure {
         format!("{kind}{reason}{fragile}")
     }
 
+    pub(super) fn escape_survives(&self) -> Option<bool> {
+        self.escape.as_ref()?.survives_multi_body
+    }
+
+    /// Describes the replay with the multi-body plant.
+    pub(super) fn describe_multi_body(&self) -> &'static str {
+        match self.survives_multi_body {
+            Some(true) => "fails",
+            Some(false) => "no failure",
+            None => "–",
+        }
+    }
+
     /// Returns the smallest gap of the best escape in metres, or the class of a failure without one.
     pub(super) fn describe_escape(&self) -> String {
         match (self.class, self.best_gap_m) {
-            (AvoidabilityClass::Avoidable, Some(gap_m)) => gap_m.to_string(),
+            (AvoidabilityClass::Avoidable, Some(gap_m)) => {
+                if self.escape_survives() == Some(false) {
+                    format!("{gap_m}; {COLLIDING_ESCAPE}")
+                } else {
+                    gap_m.to_string()
+                }
+            }
             (AvoidabilityClass::Avoidable, None) => "avoidable".to_owned(),
             (AvoidabilityClass::Unavoidable, _) => "unavoidable".to_owned(),
             (AvoidabilityClass::Undecided, _) => "undecided".to_owned(),

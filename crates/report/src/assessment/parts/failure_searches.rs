@@ -25,6 +25,7 @@ use crate::assessment::prose::prose_to_html;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, CrumpleCommand, ReportPart, Rounded};
 use crumple_evidence::RateInterval;
+use crumple_search::confirmation::ReplayShare;
 use crumple_search::falsify::Method;
 use crumple_search::falsify::campaign::{Campaign, CampaignOptions, CampaignProgress, CampaignSummary};
 use crumple_search::falsify::counterexample::{AvoidabilityClass, Counterexample};
@@ -176,6 +177,12 @@ impl SpaceSearches {
                 ("avoidable", &|search| ReportCell::number(search.count(AvoidabilityClass::Avoidable))),
                 ("unavoidable", &|search| ReportCell::number(search.count(AvoidabilityClass::Unavoidable))),
                 ("undecided", &|search| ReportCell::number(search.count(AvoidabilityClass::Undecided))),
+                ("multi-body: failures", &|search| {
+                    describe_share(search.multi_body_share(|one| one.survives_multi_body))
+                }),
+                ("multi-body: escapes", &|search| {
+                    describe_share(search.multi_body_share(DistinctFailure::escape_survives))
+                }),
                 ("max impact (m/s)", &|search| ReportCell::optional(search.max_impact_speed_mps())),
                 ("first failure (run)", &|search| first(search.methods.first())),
                 ("uniform: first (run)", &|search| first(search.method_result(Method::Uniform))),
@@ -293,6 +300,11 @@ impl FailureSearch {
         Some(Rounded::new(100.0 * uniform.failures as f64 / uniform.evaluations.max(1) as f64))
     }
 
+    /// Returns the share of listed failures for which a replay with the multi-body plant has a result.
+    fn multi_body_share(&self, result: fn(&DistinctFailure) -> Option<bool>) -> Option<ReplayShare> {
+        ReplayShare::from_results(self.failures.iter().filter_map(result))
+    }
+
     fn max_impact_speed_mps(&self) -> Option<Rounded<1>> {
         largest(self.failures.iter().map(|failure| failure.impact_speed_mps.map(Rounded::value))).map(Rounded::new)
     }
@@ -310,6 +322,7 @@ impl FailureSearch {
                 ("impact (m/s)", &|failure| ReportCell::optional(failure.impact_speed_mps)),
                 ("time (s)", &|failure| ReportCell::optional(failure.contact_time_s)),
                 ("gap of the escape (m)", &|failure| ReportCell::text(failure.describe_escape())),
+                ("multi-body", &|failure| ReportCell::text(failure.describe_multi_body())),
                 ("delta-v (m/s)", &|failure| ReportCell::optional(failure.max_delta_v_mps)),
                 ("vehicles", &|failure| ReportCell::number(failure.vehicles)),
                 ("rank by likelihood", &|failure| ReportCell::number(failure.likelihood_rank)),
@@ -377,6 +390,13 @@ impl FailureSearch {
         let most = if self.is_main { self.failures.len() } else { self.failures.len().min(MAX_LISTED) };
         self.failures.get(..most).unwrap_or_default()
     }
+}
+
+fn describe_share(share: Option<ReplayShare>) -> ReportCell {
+    ReportCell::optional(share.map(|ReplayShare { count, replays, interval }| {
+        let [low, high] = [interval.lower, interval.upper].map(|share| 100.0 * share);
+        format!("{count} of {replays} ({low:.0} to {high:.0} %)")
+    }))
 }
 
 /// Returns the upper bound of the failure probability of a uniform point in percent, at 95 %, if no point failed.
@@ -449,7 +469,9 @@ const INTRODUCTION: &str = "A search looks for collisions; uniform points and a 
     Each failure is simulated again at a tenth of the step, shrunk towards the nominal scenario, and classified: \
     avoidable with the smallest gap of the best escape found, unavoidable if the checker accepted a proof, or \
     undecided. A counterexample shows that a failure is possible, not how often it occurs; its values may be unlikely. \
-    If no uniform point fails, the share has an upper bound at 95 % confidence.";
+    If no uniform point fails, the share has an upper bound at 95 % confidence. Columns `multi-body`: shares of \
+    failures that fail again, and of escapes without a collision, in a replay of vehicles with suspension, tyres, \
+    brake pressure and an anti-lock braking system, with the exact 95 % interval of independent samples.";
 
 const COMMANDS_NOTE: &str = "Run commands in the folder of this report. `replay.sh` checks the files and runs all \
     commands that show \
@@ -495,6 +517,7 @@ impl SpaceSearches {
                     ("what happens", &|failure| ReportCell::text(failure.describe())),
                     ("impact (m/s)", &|failure| ReportCell::optional(failure.impact_speed_mps)),
                     ("gap of the escape (m)", &|failure| ReportCell::text(failure.describe_escape())),
+                    ("multi-body", &|failure| ReportCell::text(failure.describe_multi_body())),
                     ("rank by likelihood", &|failure| ReportCell::number(failure.likelihood_rank)),
                 ],
             );

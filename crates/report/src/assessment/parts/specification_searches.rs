@@ -15,7 +15,7 @@ use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart, Rounded};
 use crumple_core::digest::sha256;
 use crumple_search::falsify::campaign::{Campaign, CampaignSummary};
-use crumple_search::falsify::counterexample::Counterexample;
+use crumple_search::falsify::counterexample::{ChangedParameter, Counterexample};
 use crumple_world::measure::{DrivingRule, Specification};
 use crumple_world::sim::{FailedControllerRuns, NamedController};
 
@@ -142,14 +142,10 @@ impl<'p> SpecificationSearchPlan<'p> {
                     let simulate = ["simulate", &file, "--controller", word, "--spec", self.specification];
                     CrumpleCommand::new(simulate).with_args(seeing.clone()).with_args(["--expect", "violated"])
                 });
-                let changed = found.changed.iter().map(|one| match one.unit.as_str() {
-                    "1" => format!("{} {}", one.parameter, one.value),
-                    unit => format!("{} {} {unit}", one.parameter, one.value),
-                });
                 SpecificationViolation {
                     sha256: sha256(&text),
                     robustness: Rounded::new(found.robustness),
-                    changed: changed.collect(),
+                    changed: found.changed.iter().map(ChangedParameter::to_string).collect(),
                     file,
                     replay,
                     text,

@@ -333,7 +333,7 @@ impl SuiteFailure {
                 .with_args(["--expect", "collision"])
         });
         let escape = failed.escape.as_ref().map(file::to_toml).transpose().map_err(CacheError::encoding)?;
-        let escape = escape.map(|text| EscapeFile::for_counterexample(&file, text));
+        let escape = escape.map(|text| EscapeFile::new(&file, text, failed.escape_survives_multi_body));
         files.extend(escape.iter().map(|escape| (escape.file.clone(), escape.text.clone())));
         files.insert(file.clone(), text);
         let (point, description) = (failed.point.clone(), describe_verdict(&failed.verdict));

@@ -16,9 +16,11 @@ use crate::assessment::rounded::or_dash;
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, ReportPart, Rounded};
 use crate::draw::{Ink, Marker, Svg};
+use crumple_evidence::exposure::IntervalEstimate;
 use crumple_world::measure::{self, FollowingMeasures, HARD_BRAKE_MPS2, UNNECESSARY_MARGIN_MPS2};
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{ScenarioSpace, built_in_space, built_in_space_summary, file as space_file};
-use crumple_world::scenario::{Scenario, speed_dip};
+use crumple_world::scenario::{GhostObject, Scenario, SensorFaults, speed_dip};
 use crumple_world::sim::{FailedControllerRuns, NamedController, RecordingLevel, RunOptions, SimulationResult};
 
 const ANCHOR: &str = "usefulness";
@@ -85,6 +87,9 @@ pub struct ControllerUsefulness {
     /// Mean time of unnecessary braking in a drive, in seconds.
     #[serde(rename = "needless_s")]
     pub unnecessary_braking_s: Option<Rounded<2>>,
+    /// Unnecessary braking per hour of everyday driving, without and with sensor faults.
+    #[serde(rename = "needless_per_hour")]
+    pub unnecessary_braking_rates: Vec<BrakingRate>,
     /// Everyday drives with hard braking where little braking was required.
     #[serde(rename = "hard")]
     pub hard_braking: u64,
@@ -110,6 +115,36 @@ pub struct ControllerUsefulness {
     pub high_risk_percent: PercentInterval,
 }
 
+/// Unnecessary braking per hour, with the exact interval of independent brakings at 95 %.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct BrakingRate {
+    /// Sensor faults.
+    pub sensors: String,
+    /// Number of brakings.
+    pub count: u64,
+    /// Hours of driving.
+    pub hours: Rounded<2>,
+    /// Brakings per hour.
+    pub per_hour: Rounded<1>,
+    /// Lower and upper end of the interval, per hour.
+    pub interval: [Rounded<1>; 2],
+}
+
+/// Returns names and faults of the sensors in everyday drives. The first has none.
+fn sensor_conditions() -> [(&'static str, SensorFaults); 3] {
+    let degraded = SensorFaults {
+        latency_s: 0.2,
+        gap_resolution_m: 0.5,
+        outage_rate_per_s: 0.5,
+        outage_length_s: 0.5,
+        ..SensorFaults::default()
+    };
+    let object = GhostObject { onset_s: 5.0, duration_s: 0.5, gap_m: 20.0, speed_mps: 0.0 };
+    let ghost = SensorFaults { ghost: Some(object), ..SensorFaults::default() };
+    [("no fault", SensorFaults::default()), ("degraded", degraded), ("ghost", ghost)]
+}
+
 fn all_answered(unanswered: &[Option<FailedControllerRuns>; 2]) -> bool {
     unanswered.iter().all(Option::is_none)
 }
@@ -117,6 +152,8 @@ fn all_answered(unanswered: &[Option<FailedControllerRuns>; 2]) -> bool {
 struct EverydayDrive {
     verdict: CaseVerdict,
     usefulness: Option<measure::UsefulnessMeasures>,
+    /// Duration until the end or a collision, in seconds.
+    duration_s: f64,
 }
 
 impl UsefulnessReport {
@@ -149,8 +186,10 @@ impl UsefulnessReport {
             let drives = simulate_each(&traffic, &options, RecordingLevel::Trace, EverydayDrive::new)?;
             let danger = run_samples(&high_risk, controller, plan)?;
             let line = StringStabilityVerdict::simulate(&line, &options)?;
+            let mut useful = ControllerUsefulness::new(controller, &drives, &danger, line);
+            useful.unnecessary_braking_rates = braking_rates(&traffic, &drives, &options)?;
             work.add_runs(2 * count + 1)?;
-            Ok(ControllerUsefulness::new(controller, &drives, &danger, line))
+            Ok(useful)
         };
         let controllers = plan.controllers.iter().map(useful).collect::<Result<_, _>>()?;
         Ok(Some(Self { spaces, platoon, random_scenarios: count, seed, confidence: CONFIDENCE, controllers }))
@@ -300,6 +339,23 @@ impl UsefulnessReport {
         ReportTable::from_items_without(&self.controllers, &columns, all_answered.then_some(1))
     }
 
+    /// Unnecessary braking per hour, without and with sensor faults.
+    fn braking_rate_table(&self) -> ReportTable {
+        let cell = |one: &ControllerUsefulness, sensors: &str| {
+            let rate = one.unnecessary_braking_rates.iter().find(|rate| rate.sensors == sensors);
+            ReportCell::optional(
+                rate.map(|BrakingRate { per_hour, interval: [low, high], .. }| format!("{per_hour} ({low} to {high})")),
+            )
+        };
+        let columns: [ReportColumn<'_, &ControllerUsefulness>; 4] = [
+            ("unnecessary braking per hour", &|one| ReportCell::text(&one.controller)),
+            ("no fault", &|one| cell(one, "no fault")),
+            ("degraded", &|one| cell(one, "degraded")),
+            ("ghost", &|one| cell(one, "ghost")),
+        ];
+        ReportTable::from_items(&self.controllers, &columns)
+    }
+
     fn unanswered_notes(&self) -> Vec<String> {
         let of = |useful: &ControllerUsefulness| {
             let places = EVERYDAY_SPACES.into_iter().zip(&useful.unanswered);
@@ -343,6 +399,42 @@ impl UsefulnessReport {
     }
 }
 
+/// Measures unnecessary braking per hour under each condition of the sensors. Leaves out conditions that a controller
+/// refuses, as a shield does, and all faults if the controller observes the true state.
+fn braking_rates(
+    traffic: &[Scenario],
+    drives: &[EverydayDrive],
+    options: &RunOptions,
+) -> Result<Vec<BrakingRate>, AssessError> {
+    let mut rates = Vec::new();
+    for (sensors, faults) in sensor_conditions() {
+        if !faults.is_any() {
+            rates.push(BrakingRate::new(sensors, drives));
+        } else if options.estimator == EstimatorKind::Kalman {
+            let faulty = |one: &Scenario| one.edited(|spec| spec.sensors.faults = faults.clone());
+            let faulty = traffic.iter().map(faulty).collect::<Result<Vec<_>, _>>()?;
+            let drives = simulate_each(&faulty, options, RecordingLevel::Trace, EverydayDrive::new);
+            rates.extend(drives.ok().map(|drives| BrakingRate::new(sensors, &drives)));
+        }
+    }
+    Ok(rates)
+}
+
+impl BrakingRate {
+    fn new(sensors: &str, drives: &[EverydayDrive]) -> Self {
+        let count = drives.iter().filter_map(|drive| drive.usefulness).map(|useful| useful.unnecessary.count as u64);
+        let (count, hours) = (count.sum(), drives.iter().map(|drive| drive.duration_s).sum::<f64>() / 3600.0);
+        let IntervalEstimate { estimate, lower, upper } = IntervalEstimate::poisson_rate(count, hours);
+        Self {
+            sensors: sensors.to_owned(),
+            count,
+            hours: hours.into(),
+            per_hour: estimate.into(),
+            interval: [Rounded::down(lower), Rounded::up(upper)],
+        }
+    }
+}
+
 impl EverydayDrive {
     fn new(scenario: &Scenario, simulated: &SimulationResult) -> Self {
         let ego = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index));
@@ -351,7 +443,9 @@ impl EverydayDrive {
             .as_ref()
             .zip(ego)
             .and_then(|(trace, ego)| measure::UsefulnessMeasures::from_trace(trace, &simulated.impacts, ego));
-        Self { verdict: CaseVerdict::new(simulated, scenario), usefulness }
+        let end_s = simulated.outcome.contact().map(|contact| contact.time_s);
+        let duration_s = end_s.unwrap_or(scenario.spec().duration_s);
+        Self { verdict: CaseVerdict::new(simulated, scenario), usefulness, duration_s }
     }
 }
 
@@ -396,6 +490,7 @@ impl ControllerUsefulness {
             was_hit: [in_traffic.was_hit, in_danger.was_hit],
             unnecessary_braking: needless,
             unnecessary_braking_percent: percent([needless, unanswered_drives], drives.len()),
+            unnecessary_braking_rates: Vec::new(),
             unnecessary_braking_s: mean(&|one| Some(one.unnecessary.time_s)),
             hard_braking: count(&|one| !one.hard.is_empty()),
             left_behind: count(&|one| one.following.is_some_and(|following| following.fell_behind)),
@@ -433,6 +528,10 @@ impl EndCounts {
     }
 }
 
+const SENSOR_CONDITIONS: &str = "Unnecessary braking per hour of `traffic`, with the exact interval of independent \
+    brakings at 95 %. Degraded sensors: latency 0.2 s, resolution 0.5 m, outages of 0.5 s, one per 2 s. Ghost: one \
+    standing object per drive, reported 20 m ahead for 0.5 s. A dash: the controller refuses sensor faults.";
+
 impl ReportPart for UsefulnessReport {
     fn anchor_and_title(&self) -> (&'static str, String) {
         (ANCHOR, "Comfort and unnecessary braking".to_owned())
@@ -441,6 +540,8 @@ impl ReportPart for UsefulnessReport {
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(&self.introduction());
         out.table(&self.table());
+        out.paragraph(SENSOR_CONDITIONS);
+        out.table(&self.braking_rate_table());
         out.table(&self.failure_table());
         self.unanswered_notes().iter().for_each(|line| out.paragraph(line));
         out.figure(self.figure(ANCHOR));

@@ -184,7 +184,7 @@ impl Campaign {
 
     /// Returns the controller under test, and the partner controller of a differential criterion.
     pub(in crate::falsify) fn controllers(&self) -> impl Iterator<Item = &NamedController> {
-        let other = self.failure_criterion.as_ref().map(|criterion| criterion.partner_controller(&self.controller));
+        let other = self.failure_criterion.as_ref().map(FailureCriterion::partner_controller);
         std::iter::once(&self.controller).chain(other)
     }
 

@@ -16,8 +16,6 @@ pub(super) struct MethodResults {
     pub(super) coverage: Coverage,
     /// Evaluations for which the partner controller gave no answer.
     pub(super) other_unanswered: Option<UnansweredPartnerRuns>,
-    /// Evaluations of infinite robustness: there is no partner scenario, or no vehicle to collide with.
-    pub(super) unbounded: u64,
 }
 
 #[derive(Debug, Clone, PartialEq)]
@@ -45,7 +43,6 @@ impl MethodResults {
             best: f64::INFINITY,
             coverage: Coverage::new(dimension),
             other_unanswered: None,
-            unbounded: 0,
         }
     }
 
@@ -55,8 +52,6 @@ impl MethodResults {
             self.failures += 1;
             self.first = self.first.or(Some(evaluated.number));
         }
-        self.unbounded +=
-            u64::from(evaluated.verdict.failure.is_none() && evaluated.verdict.robustness == f64::INFINITY);
         // If the own verdict is no violation, the failure is that of the partner controller.
         if evaluated.verdict.failure.is_some() && !evaluated.verdict.is_violation() {
             let silent = self.other_unanswered.get_or_insert_with(|| UnansweredPartnerRuns {

@@ -24,6 +24,7 @@ mod config;
 mod coverage;
 mod failures;
 mod findings;
+mod first_failure;
 mod front;
 mod journal;
 mod objective;
@@ -37,13 +38,15 @@ mod table;
 pub use config::{CAMPAIGN_VERSION, Campaign, CampaignOptions, EvaluationLog};
 pub use coverage::CoveragePercentages;
 pub use failures::{FailureCandidate, FailureKind};
+pub use first_failure::FirstFailure;
 pub use front::FrontPoint;
 pub use objective::{SearchObjective, UnknownObjective};
 pub use reader::{CampaignReader, MAX_READ_EVALUATIONS};
 pub(in crate::falsify) use resolved_config::ResolvedConfig;
 pub use run::{CAMPAIGN_KIND, CampaignProgress, verify_journal};
 pub use summary::{
-    AvoidabilitySummary, CampaignSummary, CoverageSummary, FailureKindSummary, FailuresByMethod, MethodSummary,
+    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, CoverageSummary, FailureKindSummary, FailuresByMethod,
+    MethodSummary,
 };
 
 use crumple_core::observer::Stopped;
@@ -66,6 +69,8 @@ pub struct EvaluatedPoint {
     pub ln_likelihood: f64,
     /// Distance from the nominal scenario in the unit cube, from 0 to 1: mean distance over the parameters.
     pub distance_from_nominal: f64,
+    /// Harm of the first collision; 0 unless the objective is [`SearchObjective::Harm`].
+    pub harm: f64,
     /// Verdict of the simulation.
     pub verdict: RunVerdict,
 }

@@ -19,6 +19,8 @@ pub enum SearchObjective {
     Likeliest,
     /// The smallest distance from nominal.
     Nearest,
+    /// The greatest harm of the first collision: expected number of seriously injured drivers.
+    Harm,
 }
 
 /// The error of a name that is not that of an objective.
@@ -31,7 +33,7 @@ pub struct UnknownObjective {
 
 impl SearchObjective {
     /// All objectives.
-    pub const ALL: [Self; 3] = [Self::Severest, Self::Likeliest, Self::Nearest];
+    pub const ALL: [Self; 4] = [Self::Severest, Self::Likeliest, Self::Nearest, Self::Harm];
 
     /// Returns the name used on the command line and in files.
     #[must_use]
@@ -40,11 +42,12 @@ impl SearchObjective {
             Self::Severest => "severest",
             Self::Likeliest => "likeliest",
             Self::Nearest => "nearest",
+            Self::Harm => "harm",
         }
     }
 
-    /// Returns the cost to minimise. Without a failure it is the robustness. For [`Self::Likeliest`] and
-    /// [`Self::Nearest`], a failure has a negative cost, which is lower the better it meets the objective.
+    /// Returns the cost to minimise. Without a failure it is the robustness. For other objectives than
+    /// [`Self::Severest`], a failure has a negative cost, which is lower the better it meets the objective.
     #[must_use]
     pub(crate) fn cost(self, evaluated: &EvaluatedPoint) -> f64 {
         let robustness = evaluated.verdict.robustness;
@@ -52,6 +55,7 @@ impl SearchObjective {
         match self {
             Self::Likeliest if fails => -2.0 - squash(evaluated.ln_likelihood),
             Self::Nearest if fails => -2.0 + evaluated.distance_from_nominal,
+            Self::Harm if fails => -1.0 - evaluated.harm,
             _ => robustness,
         }
     }
@@ -91,6 +95,7 @@ mod tests {
             values: vec![0.5],
             ln_likelihood,
             distance_from_nominal: departure,
+            harm: -robustness / 100.0,
             verdict,
         }
     }
@@ -115,6 +120,7 @@ mod tests {
             let is_first = |aim: SearchObjective| aim.cost(&one) < aim.cost(&other);
             prop_assert_eq!(is_first(SearchObjective::Severest), deep[0] < deep[1]);
             prop_assert_eq!(is_first(SearchObjective::Nearest), far[0] < far[1]);
+            prop_assert_eq!(is_first(SearchObjective::Harm), deep[0] < deep[1]);
             prop_assert_eq!(is_first(SearchObjective::Likeliest), likely[0] > likely[1]);
         }
     }

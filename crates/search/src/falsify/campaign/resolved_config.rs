@@ -3,9 +3,9 @@
 use std::path::Path;
 
 use super::config::{CampaignRecord, with_reference_methods};
-use super::{CAMPAIGN_VERSION, Campaign, CampaignError, EvaluatedPoint, EvaluationLog};
+use super::{CAMPAIGN_VERSION, Campaign, CampaignError, EvaluatedPoint, EvaluationLog, SearchObjective};
 use crate::falsify::{Method, UnitCube};
-use crumple_world::measure::{RunVerdict, Specification};
+use crumple_world::measure::{RunVerdict, Specification, harm_of_pair};
 use crumple_world::scenario::Scenario;
 use crumple_world::scenario::space::ScenarioSpace;
 
@@ -70,9 +70,21 @@ impl ResolvedConfig {
             values: self.space.values(&point),
             ln_likelihood: self.space.ln_likelihood(&point),
             distance_from_nominal: self.distance_from_nominal(&point),
+            harm: self.harm(&point, &verdict),
             point,
             verdict,
         }
+    }
+
+    fn harm(&self, point: &[f64], verdict: &RunVerdict) -> f64 {
+        let contact = verdict.contact.filter(|_| self.record.objective == SearchObjective::Harm);
+        let harm = contact.and_then(|contact| {
+            let scenario = self.space.scenario_at(point).ok()?;
+            let mass_kg = |vehicle: u32| Some(scenario.vehicles().get(vehicle as usize)?.mass_kg());
+            let masses_kg = [mass_kg(contact.front_vehicle)?, mass_kg(contact.rear_vehicle)?];
+            Some(harm_of_pair(contact.impact_speed_mps, masses_kg))
+        });
+        harm.unwrap_or(0.0)
     }
 
     pub(in crate::falsify) fn distance_from_nominal(&self, point: &[f64]) -> f64 {

@@ -8,8 +8,8 @@ use super::resolved_config::ResolvedConfig;
 use super::summary::CampaignSummary;
 use super::table::EvaluationTable;
 use super::{Campaign, CampaignError, CampaignOptions, EvaluationLog};
-use crate::falsify::Method;
 use crate::falsify::counterexample::{Examiner, Recorder};
+use crate::falsify::{Method, SearchAlgorithm};
 use crumple_core::observer::Observer;
 use crumple_store::difference;
 use crumple_store::run_folder::{FolderExamination, RunFolder, RunFolderError, RunFolderOptions};
@@ -89,6 +89,7 @@ impl Campaign {
         let mut distinct = recorder
             .select_distinct(examiner.examine_all(&findings.failures.examination_candidates(MAX_EXAMINED_KINDS))?);
         examiner.classify_all(&mut distinct);
+        examiner.confirm_all(&mut distinct);
         self.ensure_all_trusted()?;
         let counterexamples = recorder.record_all(&distinct, &mut results)?;
         let summary = CampaignSummary::from_findings(&terms, findings, counterexamples)?;
@@ -171,18 +172,7 @@ impl CampaignRun<'_> {
         let mut reached = MethodResults::new(method.clone(), space.dimension());
         let budget = self.campaign.budget;
         while reached.evaluations < budget {
-            let mut points = search.ask();
-            if method.is_non_adaptive() {
-                // The points do not depend on values, so many batches can be requested at once.
-                for _ in 1..BLIND_BATCHES {
-                    points.extend(search.ask());
-                }
-            }
-            points.truncate(usize::try_from(budget - reached.evaluations).unwrap_or(usize::MAX));
-            if points.is_empty() || !points.iter().all(|point| terms.cube.contains(point)) {
-                return Err(CampaignError::InvalidPoints(method.name().to_owned()));
-            }
-            points.iter_mut().for_each(|point| *point = space.search_point(point));
+            let points = next_points(&mut *search, &method, terms, budget - reached.evaluations)?;
             let mut verdicts = Vec::with_capacity(points.len());
             while verdicts.len() < points.len()
                 && let Some(verdict) = self.journal.next_verdict()?
@@ -211,6 +201,28 @@ impl CampaignRun<'_> {
         }
         Ok(reached)
     }
+}
+
+/// Returns the next points of a search, at most `most` of them.
+pub(super) fn next_points(
+    search: &mut dyn SearchAlgorithm,
+    method: &Method,
+    config: &ResolvedConfig,
+    most: u64,
+) -> Result<Vec<Vec<f64>>, CampaignError> {
+    let mut points = search.ask();
+    if method.is_non_adaptive() {
+        // The points do not depend on values, so many batches can be requested at once.
+        for _ in 1..BLIND_BATCHES {
+            points.extend(search.ask());
+        }
+    }
+    points.truncate(usize::try_from(most).unwrap_or(usize::MAX));
+    if points.is_empty() || !points.iter().all(|point| config.cube.contains(point)) {
+        return Err(CampaignError::InvalidPoints(method.name().to_owned()));
+    }
+    points.iter_mut().for_each(|point| *point = config.space.search_point(point));
+    Ok(points)
 }
 
 /// Opens the run folder of a campaign. If it contains another campaign, the error names the first field that differs.

@@ -6,10 +6,9 @@ use super::failures::FailureGroup;
 use super::findings::{CampaignFindings, MethodResults};
 use super::resolved_config::ResolvedConfig;
 use super::summary::{
-    AvoidabilitySummary, CampaignSummary, CoverageSummary, FailureKindSummary, FailuresByMethod, MethodSummary,
-    SUMMARY_VERSION,
+    AvoidabilitySummary, CampaignSummary, ConfirmationSummary, CoverageSummary, FailureKindSummary, FailuresByMethod,
+    MethodSummary, SUMMARY_VERSION,
 };
-use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::Counterexample;
 use crumple_core::digest::sha256;
 use crumple_world::sim::FailedControllerRuns;
@@ -49,10 +48,7 @@ impl CampaignSummary {
                 method: main.map(|reached| reached.coverage.percentages()),
                 with_reference_searches: all.percentages(),
             },
-            methods: reached
-                .iter()
-                .map(|reached| MethodSummary::from_results(reached, record.failure_criterion.as_ref()))
-                .collect(),
+            methods: reached.iter().map(MethodSummary::from_results).collect(),
             failures: failures
                 .by_frequency()
                 .into_iter()
@@ -60,21 +56,20 @@ impl CampaignSummary {
                 .collect(),
             front: failures.front.points(&terms.specification, &terms.nominal),
             avoidability: AvoidabilitySummary::from_counterexamples(&counterexamples),
+            multi_body: ConfirmationSummary::from_counterexamples(&counterexamples),
             counterexamples,
         })
     }
 }
 
 impl MethodSummary {
-    fn from_results(reached: &MethodResults, criterion: Option<&FailureCriterionRecord>) -> Self {
-        let is_metamorphic = matches!(criterion, Some(FailureCriterionRecord::Metamorphic(_)));
+    fn from_results(reached: &MethodResults) -> Self {
         Self {
             method: reached.method.name().to_owned(),
             evaluations: reached.evaluations,
             first_falsification: reached.first,
             failures: reached.failures,
             best_robustness: finite_or_none(reached.best),
-            without_partner: Some(reached.unbounded).filter(|count| is_metamorphic && *count > 0),
             other_unanswered: reached
                 .other_unanswered
                 .as_ref()

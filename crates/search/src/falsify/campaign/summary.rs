@@ -5,6 +5,7 @@ use std::fmt::Write;
 use serde::{Deserialize, Serialize};
 
 use super::{CampaignError, CoveragePercentages, FrontPoint, SearchObjective};
+use crate::confirmation::ReplayShare;
 use crate::falsify::FailureCriterionRecord;
 use crate::falsify::counterexample::{AvoidabilityClass, Counterexample};
 use crumple_core::quoting::TerminalText;
@@ -64,6 +65,9 @@ pub struct CampaignSummary {
     /// Number of avoidable distinct failures; `None` if they were not classified.
     #[serde(default)]
     pub avoidability: Option<AvoidabilitySummary>,
+    /// Results of the replays with the multi-body plant.
+    #[serde(default)]
+    pub multi_body: ConfirmationSummary,
     /// Results of each method: the requested one, then the reference searches.
     pub methods: Vec<MethodSummary>,
     /// Kinds of failures, the most frequent first.
@@ -105,6 +109,32 @@ impl AvoidabilitySummary {
     }
 }
 
+/// Shares of distinct failures and escapes that survive a replay with the multi-body plant.
+#[derive(Debug, Clone, Copy, PartialEq, Default, Serialize, Deserialize)]
+pub struct ConfirmationSummary {
+    /// Share of failures that fail again; `None` without a replay.
+    pub failures: Option<ReplayShare>,
+    /// Share of escapes without a collision; `None` without an escape.
+    pub escapes: Option<ReplayShare>,
+}
+
+impl ConfirmationSummary {
+    /// Counts the replays of distinct failures.
+    #[must_use]
+    pub fn from_counterexamples(found: &[Counterexample]) -> Self {
+        Self {
+            failures: ReplayShare::from_results(found.iter().filter_map(|one| one.survives_multi_body)),
+            escapes: ReplayShare::from_results(found.iter().filter_map(|one| one.escape_survives_multi_body)),
+        }
+    }
+
+    /// Describes each share that is present, as a noun phrase.
+    pub fn describe(&self) -> impl Iterator<Item = String> {
+        let shares = [(self.failures, "failures survive"), (self.escapes, "escapes have no collision")];
+        shares.into_iter().filter_map(|(share, what)| Some(share?.describe(what)))
+    }
+}
+
 /// Results of a method.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct MethodSummary {
@@ -119,9 +149,6 @@ pub struct MethodSummary {
     /// Smallest robustness.
     #[serde(with = "crate::falsify::non_finite::optional")]
     pub best_robustness: Option<f64>,
-    /// Evaluations without a partner scenario, for which the failure criterion is undefined.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub without_partner: Option<u64>,
     /// Evaluations whose partner simulation gave no answer; they do not count as failures.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub other_unanswered: Option<FailedControllerRuns>,
@@ -230,27 +257,17 @@ impl CampaignSummary {
     }
 
     fn write_unanswered(&self, out: &mut String) -> std::fmt::Result {
-        let who = match &self.failure_criterion {
-            Some(FailureCriterionRecord::Differential { controller, .. }) => format!("`{}`", TerminalText(controller)),
-            _ => "the controller in the other scenario".to_owned(),
+        let Some(FailureCriterionRecord::Differential { controller, .. }) = &self.failure_criterion else {
+            return Ok(());
         };
         for method in &self.methods {
             if let Some(silent) = &method.other_unanswered {
                 let words = silent.describe(method.evaluations);
-                writeln!(out, "  NOT COMPARED: {who} {words} ({}); these do not count as failures", method.method)?;
-            }
-        }
-        Ok(())
-    }
-
-    fn write_without_partner(&self, out: &mut String) -> std::fmt::Result {
-        let Some(FailureCriterionRecord::Metamorphic(relation)) = &self.failure_criterion else { return Ok(()) };
-        for MethodSummary { method, evaluations, without_partner, .. } in &self.methods {
-            if let Some(alone @ 1..) = without_partner {
-                let partner = relation.describe_partner();
                 writeln!(
                     out,
-                    "  NOT COMPARED: {alone} of {evaluations} evaluations have no valid scenario {partner} ({method})"
+                    "  NOT COMPARED: `{}` {words} ({}); these do not count as failures",
+                    TerminalText(controller),
+                    method.method
                 )?;
             }
         }
@@ -295,6 +312,7 @@ impl CampaignSummary {
                      {undecided} undecided{silent}"
                 )?;
             }
+            self.multi_body.describe().try_for_each(|share| writeln!(out, "  with the multi-body plant, {share}"))?;
         } else {
             writeln!(out, "  no failure found; this does not prove that none exists")?;
         }
@@ -313,7 +331,6 @@ impl CampaignSummary {
                 method.method, method.evaluations, method.failures
             )?;
         }
-        self.write_without_partner(out)?;
         self.write_unanswered(out)?;
         if !self.failures.is_empty() {
             writeln!(out, "\n  kinds of failures, and the evaluation at which each method found them first")?;

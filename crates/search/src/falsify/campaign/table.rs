@@ -177,6 +177,7 @@ fn parse_row(
         point,
         values,
         ln_likelihood,
+        harm: 0.0,
         verdict: RunVerdict { contact, ..RunVerdict::new(robustness) },
     };
     Some((method, evaluated))

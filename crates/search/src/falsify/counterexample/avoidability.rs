@@ -2,6 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::confirmation::escape_survives;
 use crate::worst_case::{AvoidOptions, AvoidanceVerdict, SearchEffort, avoid};
 use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::scenario::Scenario;
@@ -51,6 +52,8 @@ pub struct AvoidabilityAnalysis {
     pub avoidability: Avoidability,
     /// Scenario with a script in place of every vehicle under test, without collision; only for avoidable failures.
     pub escape: Option<Scenario>,
+    /// True if the escape has no collision with the multi-body plant either; see [`escape_survives`].
+    pub escape_survives: Option<bool>,
 }
 
 impl AvoidabilityAnalysis {
@@ -67,15 +70,19 @@ impl AvoidabilityAnalysis {
     #[must_use]
     pub fn classify_contact(scenario: &Scenario) -> Self {
         let options = AvoidOptions { effort: SearchEffort::Decide, ..AvoidOptions::default() };
-        let (avoidability, escape) = match avoid(scenario, options).map(|avoidance| avoidance.verdict) {
+        let avoidability = match avoid(scenario, options).map(|avoidance| avoidance.verdict) {
             Ok(AvoidanceVerdict::Avoidable(escape)) => {
-                (Avoidability::Avoidable { best_min_gap_m: escape.min_gap_m }, Some(escape.scenario))
+                return Self {
+                    avoidability: Avoidability::Avoidable { best_min_gap_m: escape.min_gap_m },
+                    escape_survives: escape_survives(scenario, &escape.acceleration_mps2),
+                    escape: Some(escape.scenario),
+                };
             }
-            Ok(AvoidanceVerdict::Unavoidable(_)) => (Avoidability::Unavoidable, None),
-            Ok(AvoidanceVerdict::Undecided(reason)) => (Avoidability::Undecided { reason: reason.to_string() }, None),
-            Err(error) => (Avoidability::Undecided { reason: error.to_string() }, None),
+            Ok(AvoidanceVerdict::Unavoidable(_)) => Avoidability::Unavoidable,
+            Ok(AvoidanceVerdict::Undecided(reason)) => Avoidability::Undecided { reason: reason.to_string() },
+            Err(error) => Avoidability::Undecided { reason: error.to_string() },
         };
-        Self { avoidability, escape }
+        Self { avoidability, ..Self::default() }
     }
 }
 

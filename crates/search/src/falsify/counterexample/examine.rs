@@ -9,6 +9,7 @@ use super::batching::run_batched;
 use super::expected::FINER_STEP_DIVISOR;
 use super::record::ExaminedFailure;
 use super::shrink::shrink;
+use crate::confirmation::CONFIRMING_PLANT;
 use crate::falsify::campaign::{Campaign, CampaignError, FailureCandidate, FailureKind, ResolvedConfig};
 use crumple_world::measure::{RunVerdict, SpecificationError, max_delta_v_mps};
 use crumple_world::scenario::{Driver, LeadProfile, Scenario, ScenarioSpec, file};
@@ -51,6 +52,17 @@ impl<'a> Examiner<'a> {
         examined
             .par_iter_mut()
             .for_each(|one| one.analysis = AvoidabilityAnalysis::classify(specification, &one.verdict, &one.scenario));
+    }
+
+    /// Replays all failures with the multi-body plant. A failure whose controller refuses the plant has no result.
+    pub(in crate::falsify) fn confirm_all(&self, examined: &mut [ExaminedFailure]) {
+        let with_plant = |one: &ExaminedFailure| one.scenario.with_plant(CONFIRMING_PLANT).ok();
+        let scenarios: Vec<_> = examined.iter().map(with_plant).collect();
+        let asked: Vec<_> = scenarios.iter().flatten().map(|scenario| (scenario, 1)).collect();
+        let mut verdicts = self.campaign.evaluator().evaluate_all(&asked).into_iter();
+        for (one, _) in examined.iter_mut().zip(&scenarios).filter(|(_, scenario)| scenario.is_some()) {
+            one.survives = verdicts.next().and_then(Result::ok).map(|verdict| self.kind(&verdict).is_some());
+        }
     }
 
     fn examine(
@@ -119,6 +131,7 @@ impl<'a> Examiner<'a> {
             because: failed.filter(|_| verdict.failure.is_some()).map(FailedController::reason),
             scenario,
             analysis: AvoidabilityAnalysis::default(),
+            survives: None,
         }))
     }
 

@@ -12,6 +12,7 @@
 //! in the unit cube of the space (mean difference over the parameters). Otherwise only the severer one stays.
 //!
 //! If the specification forbids collisions, convex programming then classifies each distinct failure: [`Avoidability`].
+//! A replay with the multi-body plant shows which failures and escapes survive ([`crate::confirmation`]).
 
 mod avoidability;
 mod batching;
@@ -42,9 +43,6 @@ pub struct Counterexample {
     pub file: String,
     /// Path of the scenario file as it was found.
     pub original_file: String,
-    /// Path of the partner scenario, which the controller passes; only for a metamorphic failure criterion.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
-    pub partner_file: Option<String>,
     /// Path of an escape of an avoidable failure, with scripts in place of the vehicles under test, without collision.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub escape_file: Option<String>,
@@ -84,6 +82,12 @@ pub struct Counterexample {
     /// Avoidability; in files `avoidable`, `avoidability`, `best_min_gap_m` and `undecided_because`.
     #[serde(flatten)]
     pub avoidability: Avoidability,
+    /// True if the scenario also fails with the multi-body plant; `None` if the controller refuses the plant.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub survives_multi_body: Option<bool>,
+    /// True if the escape has no collision with the multi-body plant either; `None` without an escape.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub escape_survives_multi_body: Option<bool>,
     /// Method that found it.
     pub found_by: String,
     /// Number of the evaluation of this method, from 1.
@@ -149,7 +153,12 @@ impl Counterexample {
             self.likelihood_rank, self.found_by, self.found_at
         )?;
         if let Some(words) = self.avoidability.describe() {
-            writeln!(out, "      {words}")?;
+            let collides = self.escape_survives_multi_body == Some(false);
+            let mark = if collides { "; with the multi-body plant this escape COLLIDES" } else { "" };
+            writeln!(out, "      {words}{mark}")?;
+        }
+        if let Some(survives) = self.survives_multi_body {
+            writeln!(out, "      with the multi-body plant: {}", if survives { "fails" } else { "no failure" })?;
         }
         let changed: Vec<_> = self.changed.iter().map(ToString::to_string).collect();
         let changed =

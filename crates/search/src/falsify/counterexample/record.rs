@@ -31,6 +31,8 @@ pub(in crate::falsify) struct ExaminedFailure {
     pub(super) vehicles_involved: usize,
     pub(super) because: Option<String>,
     pub(super) analysis: AvoidabilityAnalysis,
+    /// True if the scenario also fails with the multi-body plant.
+    pub(super) survives: Option<bool>,
 }
 
 /// Selects distinct failures of a campaign and records them.
@@ -118,9 +120,6 @@ impl Recorder<'_> {
         let beside = match &terms.failure_criterion {
             None => String::new(),
             Some(FailureCriterionRecord::Differential { controller, .. }) => format!(", and `{controller}` passes it"),
-            Some(FailureCriterionRecord::Metamorphic(relation)) => {
-                format!(", which it does not {}", relation.describe_partner())
-            }
         };
         let why = one.because.as_ref().map_or(String::new(), |because| format!(" {because}"));
         let found = format!(
@@ -134,6 +133,13 @@ impl Recorder<'_> {
             if one.dt_fragile { " It disappears at a tenth of the step: kept as it was found." } else { " Shrunk." };
         let class =
             one.analysis.avoidability.describe().map_or(String::new(), |words| format!(" {}.", capitalise(&words)));
+        let changed = self.changed_parameters(&one.values);
+        let outside: Vec<_> =
+            changed.iter().filter(|one| one.outside_observed.is_some()).map(ToString::to_string).collect();
+        let outside = match outside[..] {
+            [] => String::new(),
+            _ => format!(" Values beyond the recordings: {}.", outside.join(", ")),
+        };
         let name = format!("{}-{}-{place:02}", self.config.space.name(), terms.seed);
         let named_file = |path: String, scenario: &Scenario, name, about| {
             let named = scenario.edited(|spec| (spec.name, spec.about) = (name, about))?;
@@ -163,19 +169,15 @@ impl Recorder<'_> {
                 Ok::<(), CampaignError>(())
             };
         let (verdict, as_found) = (&one.verdict, &one.original_verdict);
-        write(&file, (&one.scenario, verdict), name.clone(), found.clone() + how + &class, &one.analysis.avoidability)?;
+        write(
+            &file,
+            (&one.scenario, verdict),
+            name.clone(),
+            found.clone() + how + &class + &outside,
+            &one.analysis.avoidability,
+        )?;
         let original_name = format!("{name}-original");
         write(&original, (&one.original, as_found), original_name, found, &Avoidability::NotAsked)?;
-        let partner_file = match &terms.failure_criterion {
-            Some(FailureCriterionRecord::Metamorphic(relation)) => relation.partner(&one.scenario).map(|partner| {
-                let about = format!("{}: {}.", file, relation.describe_partner());
-                (format!("counterexamples/partners/{file}"), partner, about)
-            }),
-            _ => None,
-        };
-        if let Some((path, partner, about)) = &partner_file {
-            files.push(named_file(path.clone(), partner, format!("{name}-partner"), about.clone())?);
-        }
         let escape_file =
             one.analysis.escape.as_ref().map(|escape| (format!("counterexamples/escapes/{file}"), escape));
         if let Some((path, escape)) = &escape_file {
@@ -186,7 +188,6 @@ impl Recorder<'_> {
         Ok(Counterexample {
             file: format!("counterexamples/{file}"),
             original_file: format!("counterexamples/{original}"),
-            partner_file: partner_file.map(|(path, ..)| path),
             escape_file: escape_file.map(|(path, _)| path),
             kind,
             because: one.because.clone(),
@@ -203,9 +204,11 @@ impl Recorder<'_> {
             likelihood_rank: 0,
             dt_fragile: one.dt_fragile,
             avoidability: one.analysis.avoidability.clone(),
+            survives_multi_body: one.survives,
+            escape_survives_multi_body: one.analysis.escape_survives,
             found_by: one.method.name().to_owned(),
             found_at: one.number,
-            changed: self.changed_parameters(&one.values),
+            changed,
         })
     }
 

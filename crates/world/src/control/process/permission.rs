@@ -7,7 +7,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub enum NameOrigin {
     /// The user: an argument of the command line, a configuration or controller file that it names, or calling code.
     User,
-    /// Any other file: a scenario, space, suite, shard, campaign, certificate or report.
+    /// Any other file: a scenario, space, suite, campaign, certificate or report.
     File,
 }
 

@@ -56,7 +56,8 @@ pub(super) fn orient(points: &mut [TrackPoint], reference: ReferencePoint, speed
         let votes = track_votes(track, speeds_agree);
         directions.push(votes.decreases());
         for interval in track.chunk_by(|a, b| a.lane == b.lane) {
-            let votes = track_votes(interval, speeds_agree);
+            // Most tracks have one lane.
+            let votes = if interval.len() == track.len() { votes } else { track_votes(interval, speeds_agree) };
             let lane = interval.first().map_or(0, |point| point.lane);
             for sum in [of_lane.entry(lane).or_default(), &mut of_all] {
                 (sum.up, sum.down) = (sum.up + votes.up, sum.down + votes.down);

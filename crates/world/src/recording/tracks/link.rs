@@ -1,10 +1,9 @@
 //! Links of leaders and followers.
 
-use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
 use super::super::series::{ColumnQuantity, round_to_milli};
-use super::{Occurrences, TrackPoint, count};
+use super::{Occurrences, TrackPoint, count, sortable};
 
 /// Maximum number of absent vehicles at one instant; with more, no vehicle is linked, which bounds the time of linking.
 const MAX_ABSENT: usize = 256;
@@ -69,24 +68,31 @@ impl Absence {
 /// point of that lane at that time is linked. A vehicle with unknown length is not linked. No points are linked if a
 /// vehicle that has rows before and after may be between them.
 pub(super) fn link(points: &mut [TrackPoint]) -> LinkProblems {
-    let at = |points: &[TrackPoint], index: u32| points.get(index as usize).copied();
     let row = |point: &TrackPoint| (point.time_ms, point.lane, point.position_decreases);
-    let unplaced = || points.iter().filter(|point| point.position_m.is_none() || point.length_m.is_none());
-    let unplaced = || unplaced().filter(|point| !point.is_margin);
-    let unknown_position = unplaced().map(|point| point.line).min().map(|first| (first, unplaced().count()));
-    let unlinkable: BTreeSet<_> = points.iter().filter(|point| point.position_m.is_none()).map(row).collect();
-    // By row, front to rear.
-    let key = |(point, index): (&TrackPoint, u32)| (row(point), Reverse(total_order(point.front_m)), index);
-    let mut order: Vec<_> = points.iter().zip(0..).map(key).collect();
-    order.sort_unstable();
-    let mut to_come = absences(points).into_iter().enumerate().peekable();
+    let (mut unknown_position, mut unlinkable): (Occurrences, _) = (None, BTreeSet::new());
+    for point in points.iter().filter(|point| point.position_m.is_none() || point.length_m.is_none()) {
+        if !point.is_margin {
+            let (first, count) = unknown_position.unwrap_or((point.line, 0));
+            unknown_position = Some((first.min(point.line), count + 1));
+        }
+        if point.position_m.is_none() {
+            unlinkable.insert(row(point));
+        }
+    }
+    let order = order_rows(points);
+    let mut to_come = absences(points, &order).into_iter().enumerate().peekable();
     // By the end of the absence.
     let mut absent_now: BTreeMap<(i64, usize), Absence> = BTreeMap::new();
     let (mut overlapping, mut absent) = (None, None);
     for pair in order.windows(2) {
-        let &[(_, _, front), (_, _, rear)] = pair else { continue };
-        let (Some(ahead), Some(behind)) = (at(points, front), at(points, rear)) else { continue };
-        if row(&ahead) != row(&behind) || unlinkable.contains(&row(&ahead)) {
+        let &[front, rear] = pair else { continue };
+        // Points of another row differ above the index.
+        if (front ^ rear) >> 32 != 0 {
+            continue;
+        }
+        let [front, rear] = [front, rear].map(|key| key as u32);
+        let [ahead, behind] = [front, rear].map(|index| &points[index as usize]);
+        if unlinkable.contains(&row(ahead)) {
             continue;
         }
         let (Some(length_m), Some(_)) = (ahead.length_m, behind.length_m) else { continue };
@@ -98,45 +104,56 @@ pub(super) fn link(points: &mut [TrackPoint]) -> LinkProblems {
             absent_now.pop_first();
         }
         let rear_m = ahead.front_m - length_m;
-        let hides_vehicle = |absence: &Absence| absence.may_be_between(&ahead, rear_m, behind.front_m);
+        let hides_vehicle = |absence: &Absence| absence.may_be_between(ahead, rear_m, behind.front_m);
         if !ColumnQuantity::Gap.allows(gap_m) {
             if round_to_milli(gap_m) <= 0.0 {
-                count(&mut overlapping, &behind);
+                count(&mut overlapping, behind);
             }
         } else if absent_now.len() > MAX_ABSENT || absent_now.values().any(hides_vehicle) {
-            count(&mut absent, &behind);
+            count(&mut absent, behind);
         } else {
-            if let Some(point) = points.get_mut(rear as usize) {
-                point.ahead = Some((gap_m, front));
-            }
-            if let Some(point) = points.get_mut(front as usize) {
-                point.behind = Some(rear);
-            }
+            points[rear as usize].ahead = Some((gap_m, front));
+            points[front as usize].behind = Some(rear);
         }
     }
     LinkProblems { overlapping, unknown_position, absent }
 }
 
+/// Returns the points by time, lane and direction, and then front to rear. The low 32 bits of each key are the index of
+/// the point.
+fn order_rows(points: &[TrackPoint]) -> Vec<u128> {
+    let key = |(point, index): (&TrackPoint, u32)| {
+        let row = u64::from(point.lane) << 33 | u64::from(point.position_decreases) << 32;
+        u128::from(sortable(point.time_ms)) << 64 | u128::from(row | u64::from(index))
+    };
+    let mut order: Vec<u128> = points.iter().zip(0..).map(key).collect();
+    order.sort_unstable();
+    let front_m = |key: u128| points[key as u32 as usize].front_m;
+    for row in order.chunk_by_mut(|a, b| (a ^ b) >> 32 == 0) {
+        row.sort_by(|&a, &b| front_m(b).total_cmp(&front_m(a)));
+    }
+    order
+}
+
 /// Returns the absences during which other vehicles have rows, in order of their starts.
-fn absences(points: &[TrackPoint]) -> Vec<Absence> {
-    let mut instants_ms: Vec<i64> = points.iter().map(|point| point.time_ms).collect();
-    instants_ms.sort_unstable();
-    instants_ms.dedup();
+fn absences(points: &[TrackPoint], order: &[u128]) -> Vec<Absence> {
+    let mut instants: Vec<u64> = order.iter().map(|key| (key >> 64) as u64).collect();
+    instants.dedup();
     let mut absences = Vec::new();
     for track in points.chunk_by(|a, b| a.track == b.track) {
-        let known: Vec<_> = track.iter().filter(|point| point.position_m.is_some()).collect();
-        absences.extend(known.windows(2).filter_map(|pair| {
-            let &[a, b] = pair else { return None };
-            let next = instants_ms.partition_point(|&time_ms| time_ms <= a.time_ms);
-            (instants_ms.get(next).is_some_and(|&next_ms| next_ms < b.time_ms)).then(|| Absence::new(a, b))
-        }));
+        let mut known = track.iter().filter(|point| point.position_m.is_some());
+        let Some(mut a) = known.next() else { continue };
+        let mut next = instants.partition_point(|&instant| instant <= sortable(a.time_ms));
+        for b in known {
+            if instants.get(next).is_some_and(|&instant| instant < sortable(b.time_ms)) {
+                absences.push(Absence::new(a, b));
+            }
+            a = b;
+            while instants.get(next).is_some_and(|&instant| instant <= sortable(a.time_ms)) {
+                next += 1;
+            }
+        }
     }
     absences.sort_by_key(|absence| absence.from_ms);
     absences
-}
-
-/// Returns an integer in the order of [`f64::total_cmp`].
-fn total_order(number: f64) -> i64 {
-    let bits = number.to_bits() as i64;
-    bits ^ ((bits >> 63) as u64 >> 1) as i64
 }

@@ -93,10 +93,28 @@ fn to_ms(seconds: f64) -> i64 {
     (seconds * 1000.0).round() as i64
 }
 
-/// Sorts points by vehicle and time, and keeps the first of several points of a vehicle at one time. Returns the first
-/// duplicate and the number of duplicates.
+/// Returns an unsigned number in the order of `time_ms`.
+fn sortable(time_ms: i64) -> u64 {
+    time_ms as u64 ^ 1 << 63
+}
+
+/// Sorts points, which are in order of their lines, by vehicle and time. Keeps the first of several points of a vehicle
+/// at one time. Returns the first duplicate and the number of duplicates.
 pub(super) fn sort(points: &mut Vec<TrackPoint>) -> Option<(TrackPoint, usize)> {
-    points.sort_by_cached_key(|point| (point.vehicle, point.time_ms, point.line));
+    let key = |(point, index): (&TrackPoint, u32)| {
+        u128::from(point.vehicle) << 96 | u128::from(sortable(point.time_ms)) << 32 | u128::from(index)
+    };
+    let mut order: Vec<u128> = points.iter().zip(0..).map(key).collect();
+    order.sort_unstable();
+    for place in 0..points.len() {
+        let mut from = order[place] as u32 as usize;
+        // Earlier swaps moved this point.
+        while from < place {
+            from = order[from] as u32 as usize;
+        }
+        order[place] = from as u128;
+        points.swap(place, from);
+    }
     let mut duplicate: Option<(TrackPoint, usize)> = None;
     points.dedup_by(|later, first| {
         let is_twice = (later.vehicle, later.time_ms) == (first.vehicle, first.time_ms);

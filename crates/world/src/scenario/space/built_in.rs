@@ -2,7 +2,9 @@
 
 use std::path::Path;
 
-use super::{ScenarioSpace, file};
+use super::{Base, ScenarioSpace, file};
+use crate::control::{ControllerSpec, HumanSettings};
+use crate::scenario::Driver;
 use crate::scenario::file::FileError;
 
 /// Name, one-line description and text of every built-in space.
@@ -21,6 +23,13 @@ pub const BUILT_IN_SPACES: [(&str, &str, &str); 8] = [
     ("steady", "a leader that never brakes, 15 to 100 m ahead, and any follower", STEADY),
 ];
 
+/// Name, one-line description and base of each variant of a built-in space: a human drives the last vehicle. Variants
+/// are not in [`BUILT_IN_SPACES`], so that no default includes them.
+pub const HUMAN_SPACES: [(&str, &str, &str); 2] = [
+    ("high-risk-human", "the emergencies of high-risk, with a human as the follower", "high-risk"),
+    ("traffic-human", "the everyday driving of traffic, with a human as the follower", "traffic"),
+];
+
 const PAPER: &str = include_str!("built_in/paper.toml");
 const HIGH_RISK: &str = include_str!("built_in/high-risk.toml");
 const TRAFFIC: &str = include_str!("built_in/traffic.toml");
@@ -37,7 +46,7 @@ pub enum FindSpaceError {
     /// Neither a built-in space nor a file.
     #[error(
         "`{name}` is neither a built-in space ({}) nor a file",
-        BUILT_IN_SPACES.map(|(known, ..)| known).join(", ")
+        built_in_space_names().collect::<Vec<_>>().join(", ")
     )]
     Name {
         /// The name.
@@ -60,16 +69,31 @@ pub fn find_space(name: &str) -> Result<ScenarioSpace, FindSpaceError> {
     }
 }
 
+/// Returns the names of all built-in spaces and their variants.
+pub fn built_in_space_names() -> impl Iterator<Item = &'static str> {
+    BUILT_IN_SPACES.into_iter().chain(HUMAN_SPACES).map(|(name, ..)| name)
+}
+
 /// Returns the one-line description of a built-in space; `None` for any other space, also one with the same name.
 #[must_use]
 pub fn built_in_space_summary(space: &ScenarioSpace) -> Option<&'static str> {
-    let (name, summary, _) = BUILT_IN_SPACES.iter().find(|(known, ..)| *known == space.name())?;
+    let (name, summary, _) = BUILT_IN_SPACES.iter().chain(&HUMAN_SPACES).find(|(known, ..)| *known == space.name())?;
     (built_in_space(name)?.spec() == space.spec()).then_some(*summary)
 }
 
 /// Returns the built-in space `name`.
 #[must_use]
 pub fn built_in_space(name: &str) -> Option<ScenarioSpace> {
-    let (_, _, text) = BUILT_IN_SPACES.iter().find(|(known, ..)| *known == name)?;
-    file::from_toml(text, Path::new(name)).ok()
+    if let Some((_, _, text)) = BUILT_IN_SPACES.iter().find(|(known, ..)| *known == name) {
+        return file::from_toml(text, Path::new(name)).ok();
+    }
+    let (_, summary, base) = HUMAN_SPACES.iter().find(|(known, ..)| *known == name)?;
+    let mut spec = built_in_space(base)?.spec().clone();
+    (spec.name, spec.about) = (name.to_owned(), (*summary).to_owned());
+    spec.parameters.retain(|parameter| parameter.name != "follower");
+    let Base::Inline(scenario) = &mut spec.base else { return None };
+    (scenario.name, scenario.about) = (name.to_owned(), format!("A scenario of the space `{name}`."));
+    let human = ControllerSpec::Human(HumanSettings::default());
+    scenario.vehicles.last_mut()?.driver = Driver::Controller(human);
+    ScenarioSpace::new(spec, Path::new("")).ok()
 }

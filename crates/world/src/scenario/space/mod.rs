@@ -69,7 +69,10 @@ use std::ops::Range;
 
 use rand::RngExt;
 
-pub use built_in::{BUILT_IN_SPACES, FindSpaceError, built_in_space, built_in_space_summary, find_space};
+pub use built_in::{
+    BUILT_IN_SPACES, FindSpaceError, HUMAN_SPACES, built_in_space, built_in_space_names, built_in_space_summary,
+    find_space,
+};
 pub use check::{InvalidSpace, KEY_COLUMNS, RESULT_COLUMNS};
 pub use copula::{Dependence, GaussianCopula};
 pub use observed::{DrivingExposure, ObservedData, ObservedParameter, SourceExposure};

@@ -82,12 +82,18 @@ impl ScenarioSpace {
         (scores, distance)
     }
 
-    /// Returns the smallest and largest observed value of a parameter, if `value` is outside them.
+    /// Returns the smallest and largest observed value of a parameter; `None` unless the space was fitted.
     #[must_use]
-    pub fn extrapolated_range(&self, parameter: &str, value: f64) -> Option<[f64; 2]> {
+    pub fn observed_range(&self, parameter: &str) -> Option<[f64; 2]> {
         let observed = self.spec.observed.as_ref()?.parameters.iter().find(|one| one.name == parameter)?;
         let low = observed.values.iter().copied().fold(f64::INFINITY, f64::min);
         let high = observed.values.iter().copied().fold(f64::NEG_INFINITY, f64::max);
-        (!(low..=high).contains(&value)).then_some([low, high])
+        Some([low, high])
+    }
+
+    /// Returns the smallest and largest observed value of a parameter, if `value` is outside them.
+    #[must_use]
+    pub fn extrapolated_range(&self, parameter: &str, value: f64) -> Option<[f64; 2]> {
+        self.observed_range(parameter).filter(|[low, high]| !(*low..=*high).contains(&value))
     }
 }

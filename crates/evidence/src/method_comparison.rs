@@ -1,0 +1,275 @@
+//! Comparison of search methods over several seeds, with exact tests.
+
+use std::fmt::Write;
+
+use crumple_core::observer::Observer;
+use crumple_search::falsify::Method;
+use crumple_search::falsify::campaign::{Campaign, CampaignError, CampaignProgress, FirstFailure};
+use serde::Serialize;
+
+use super::{DiscordantPairs, RateInterval};
+
+/// Confidence level of the intervals.
+const CONFIDENCE: f64 = 0.95;
+
+/// Results of search methods on the same problem with the same seeds.
+///
+/// Measures follow the falsification category of the ARCH competition: falsification rate, mean and median number of
+/// simulations. Mean and median are those of the falsified runs.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MethodComparison {
+    /// Name of the controller.
+    pub controller: String,
+    /// Name of the space.
+    pub space: String,
+    /// The specification.
+    pub specification: String,
+    /// Maximum number of simulations of a run.
+    pub budget: u64,
+    /// Seed of the first run; the following runs have the following seeds.
+    pub first_seed: u64,
+    /// Results of each method, in the order of the request.
+    pub methods: Vec<MethodRuns>,
+    /// Comparisons of all pairs of methods.
+    pub pairs: Vec<MethodPair>,
+}
+
+/// Results of one method.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MethodRuns {
+    /// Name of the method.
+    pub method: String,
+    /// Number of runs that found a failure.
+    pub falsified: u64,
+    /// Share of runs that found a failure.
+    pub falsification_rate: f64,
+    /// 95 % interval of this share (Clopper-Pearson).
+    pub interval: [f64; 2],
+    /// Mean number of simulations of the falsified runs.
+    pub mean_simulations: Option<f64>,
+    /// Median number of simulations of the falsified runs.
+    pub median_simulations: Option<f64>,
+    /// Each run, in order of the seeds.
+    pub runs: Vec<FirstFailure>,
+}
+
+/// Comparison of two methods on the same seeds. The four tests of all pairs share one correction of Holm.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct MethodPair {
+    /// Names of both methods.
+    pub methods: [String; 2],
+    /// McNemar's exact test: seeds that only the first method falsifies, and those that only the second one does.
+    pub falsified: PairedTest,
+    /// Sign test: seeds for which the first method needs fewer simulations, and those for which the second one does.
+    pub fewer_simulations: PairedTest,
+}
+
+/// Two-sided exact test of discordant pairs.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct PairedTest {
+    /// Seeds in favour of the first method.
+    pub first: u64,
+    /// Seeds in favour of the second method.
+    pub second: u64,
+    /// Probability of such a difference or a larger one between equal methods.
+    pub p: f64,
+    /// `p` with the correction of Holm.
+    pub p_corrected: f64,
+}
+
+impl PairedTest {
+    fn new(first: u64, second: u64) -> Self {
+        let of =
+            |only_second_fails, only_first_fails| DiscordantPairs { only_second_fails, only_first_fails }.p_value();
+        let p = (2.0 * of(first, second).min(of(second, first))).min(1.0);
+        Self { first, second, p, p_corrected: p }
+    }
+}
+
+impl MethodRuns {
+    fn new(method: &Method, runs: Vec<FirstFailure>) -> Self {
+        let mut simulations: Vec<u64> = runs.iter().filter_map(|run| run.simulations).collect();
+        simulations.sort_unstable();
+        let (falsified, count) = (simulations.len(), runs.len());
+        let interval = RateInterval::clopper_pearson(falsified as u64, count as u64, CONFIDENCE);
+        let middle = |index: usize| simulations.get(index).map(|&number| number as f64);
+        Self {
+            method: method.name().to_owned(),
+            falsified: falsified as u64,
+            falsification_rate: falsified as f64 / count as f64,
+            interval: [interval.lower, interval.upper],
+            mean_simulations: (falsified > 0).then(|| simulations.iter().sum::<u64>() as f64 / falsified as f64),
+            median_simulations: middle(falsified / 2)
+                .zip(middle(falsified.saturating_sub(1) / 2))
+                .map(|(upper, lower)| f64::midpoint(lower, upper)),
+            runs,
+        }
+    }
+}
+
+impl MethodPair {
+    fn new(one: &MethodRuns, other: &MethodRuns) -> Self {
+        let count = |is_better: &dyn Fn(&FirstFailure, &FirstFailure) -> bool, [one, other]: [&MethodRuns; 2]| {
+            one.runs.iter().zip(&other.runs).filter(|(one, other)| is_better(one, other)).count() as u64
+        };
+        let both = |is_better: &dyn Fn(&FirstFailure, &FirstFailure) -> bool| {
+            PairedTest::new(count(is_better, [one, other]), count(is_better, [other, one]))
+        };
+        // A run without a failure needs more simulations than any with one.
+        let needed = |run: &FirstFailure| run.simulations.unwrap_or(u64::MAX);
+        Self {
+            methods: [one.method.clone(), other.method.clone()],
+            falsified: both(&|one, other| one.simulations.is_some() && other.simulations.is_none()),
+            fewer_simulations: both(&|one, other| needed(one) < needed(other)),
+        }
+    }
+}
+
+impl MethodComparison {
+    /// Runs each method with the campaign's seed and the following ones, each run up to its first failure.
+    ///
+    /// # Errors
+    /// [`CampaignError`] if a scenario cannot be run, or `observer` stops the comparison.
+    pub fn run(
+        campaign: &Campaign,
+        methods: &[Method],
+        seeds: u64,
+        observer: &dyn Observer<CampaignProgress>,
+    ) -> Result<Self, CampaignError> {
+        let total = campaign.budget.saturating_mul(seeds).saturating_mul(methods.len() as u64);
+        let (mut results, mut finished, mut failures) = (Vec::new(), 0, 0);
+        for method in methods {
+            let mut runs = Vec::new();
+            for seed in campaign.seed..campaign.seed.saturating_add(seeds) {
+                let observe = |progress: &CampaignProgress| {
+                    let evaluations = finished + progress.evaluations;
+                    let failures = failures + progress.failures;
+                    observer.observe(&CampaignProgress { evaluations, total, failures, ..progress.clone() })
+                };
+                let run = Campaign { method: method.clone(), seed, ..campaign.clone() }.find_first_failure(&observe)?;
+                finished += campaign.budget;
+                failures += u64::from(run.simulations.is_some());
+                runs.push(run);
+            }
+            results.push(MethodRuns::new(method, runs));
+        }
+        let pairs = results
+            .iter()
+            .enumerate()
+            .flat_map(|(index, one)| results.iter().skip(index + 1).map(move |other| MethodPair::new(one, other)));
+        let mut pairs: Vec<MethodPair> = pairs.collect();
+        correct_by_holm(pairs.iter_mut().flat_map(|pair| [&mut pair.falsified, &mut pair.fewer_simulations]).collect());
+        Ok(Self {
+            controller: campaign.controller.name.clone(),
+            space: campaign.space.name().to_owned(),
+            specification: campaign.specification.to_string(),
+            budget: campaign.budget,
+            first_seed: campaign.seed,
+            methods: results,
+            pairs,
+        })
+    }
+
+    /// Returns a table of the methods, and one of their pairs.
+    #[must_use]
+    pub fn to_text(&self) -> String {
+        let Self { controller, space, specification, budget, methods, pairs, .. } = self;
+        let seeds = methods.first().map_or(0, |method| method.runs.len());
+        let mut text = format!(
+            "{controller} in {space}, `{specification}`: {seeds} seeds, at most {budget} simulations each\n\n\
+             {:<20} {:>10} {:>17} {:>10} {:>10}\n",
+            "method", "falsified", "95 % interval", "mean", "median"
+        );
+        let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.1}"));
+        for MethodRuns { method, falsified, interval, mean_simulations, median_simulations, .. } in methods {
+            let share = format!("{falsified}/{seeds}");
+            let interval = format!("{:.1} to {:.1} %", 100.0 * interval[0], 100.0 * interval[1]);
+            let (mean, median) = (number(*mean_simulations), number(*median_simulations));
+            // Writing to a string does not fail.
+            let _ = writeln!(text, "{method:<20} {share:>10} {interval:>17} {mean:>10} {median:>10}");
+        }
+        if !pairs.is_empty() {
+            text += "\nOn the same seeds (p: exact, two-sided, with the correction of Holm):\n";
+        }
+        for MethodPair { methods: [one, other], falsified, fewer_simulations } in pairs {
+            let _ = writeln!(
+                text,
+                "{one} against {other}: only one falsifies {} to {} (p {:.3}); fewer simulations {} to {} (p {:.3})",
+                falsified.first,
+                falsified.second,
+                falsified.p_corrected,
+                fewer_simulations.first,
+                fewer_simulations.second,
+                fewer_simulations.p_corrected
+            );
+        }
+        text
+    }
+
+    /// Returns a row for each run: method, seed, number of simulations (empty without a failure), least robustness.
+    #[must_use]
+    pub fn to_csv(&self) -> String {
+        let mut text = "method,seed,simulations,least_robustness\n".to_owned();
+        for MethodRuns { method, runs, .. } in &self.methods {
+            for (seed, run) in (self.first_seed..).zip(runs) {
+                let simulations = run.simulations.map_or_else(String::new, |number| number.to_string());
+                let _ = writeln!(text, "{method},{seed},{simulations},{}", run.least_robustness);
+            }
+        }
+        text
+    }
+}
+
+/// Corrects p-values for their number. Source: Holm 1979, "A simple sequentially rejective multiple test procedure",
+/// Scandinavian Journal of Statistics 6, 65-70.
+fn correct_by_holm(mut tests: Vec<&mut PairedTest>) {
+    tests.sort_by(|one, other| one.p.total_cmp(&other.p));
+    let (count, mut least) = (tests.len(), 0.0_f64);
+    for (rank, test) in tests.into_iter().enumerate() {
+        least = least.max(((count - rank) as f64 * test.p).min(1.0));
+        test.p_corrected = least;
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_core::observer::Quiet;
+    use crumple_world::control::ControllerSpec;
+    use crumple_world::scenario::space::built_in_space;
+
+    fn result(name: &str, simulations: &[Option<u64>]) -> MethodRuns {
+        let run = |&simulations: &Option<u64>| FirstFailure { simulations, least_robustness: 1.0 };
+        MethodRuns { method: name.to_owned(), ..MethodRuns::new(&Method::Auto, simulations.iter().map(run).collect()) }
+    }
+
+    #[test]
+    fn measures_and_tests_by_hand() {
+        let one = result("one", &[Some(4), Some(2), Some(9), Some(1), None, Some(5)]);
+        let other = result("other", &[Some(5), None, Some(9), None, None, Some(7)]);
+        assert_eq!((one.falsified, one.mean_simulations, one.median_simulations), (5, Some(4.2), Some(4.0)));
+        assert_eq!((other.mean_simulations, other.median_simulations), (Some(7.0), Some(7.0)));
+        assert_eq!(result("none", &[None]).median_simulations, None);
+        let MethodPair { falsified, fewer_simulations, .. } = MethodPair::new(&one, &other);
+        for (test, first, p) in [(falsified, 2, 0.5), (fewer_simulations, 4, 0.125)] {
+            assert!((test.first, test.second) == (first, 0) && (test.p - p).abs() < 1e-12, "{test:?}");
+        }
+        let mut tests = [0.01, 0.04, 0.03, 0.5].map(|p| PairedTest { first: 0, second: 0, p, p_corrected: p });
+        correct_by_holm(tests.iter_mut().collect());
+        assert_eq!(tests.map(|test| test.p_corrected), [0.04, 0.09, 0.09, 0.5]);
+    }
+
+    #[test]
+    fn a_method_does_not_differ_from_itself_and_each_run_has_its_seed() {
+        let controller = ControllerSpec::from_name("match-leader").unwrap();
+        let campaign = Campaign { budget: 60, ..Campaign::new(controller, built_in_space("high-risk").unwrap()) };
+        let methods = [Method::Uniform, Method::Uniform, Method::Halton];
+        let compared = MethodComparison::run(&campaign, &methods, 4, &Quiet).unwrap();
+        assert_eq!(compared.methods[0], compared.methods[1]);
+        assert_eq!((compared.pairs.len(), compared.pairs[0].fewer_simulations.p), (3, 1.0));
+        assert_eq!(compared.to_csv().lines().count(), 13);
+        let third = Campaign { method: Method::Uniform, seed: 2, ..campaign }.find_first_failure(&Quiet).unwrap();
+        assert_eq!(third, compared.methods[0].runs[2]);
+        assert_ne!(third, compared.methods[0].runs[0]);
+    }
+}

@@ -1,0 +1,339 @@
+//! Effects of braking: collisions ahead avoided, collisions behind caused, and harm, for each kind of follower.
+//!
+//! Every controller drives the same random scenarios as in [`super::SpaceSamples`]; vehicles that collide drive on as
+//! one body. The first controller of the configuration is the reference, for example one that never brakes.
+
+use std::fmt::Write as _;
+
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+use serde_json::json;
+
+use super::sampling::{PercentInterval, simulate_each};
+use crate::assessment::claims::ContentId;
+use crate::assessment::config::HarmConfig;
+use crate::assessment::document::ReportDocument;
+use crate::assessment::gather_context::GatherContext;
+use crate::assessment::plan::NamedSpace;
+use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
+use crate::assessment::{AssessError, ReportPart, Rounded};
+use crumple_search::falsify::counterexample::Avoidability;
+use crumple_world::measure::harm;
+use crumple_world::scenario::Scenario;
+use crumple_world::sim::{AfterContact, NamedController, RecordingLevel, RunOptions, SimulationResult};
+
+/// Deceleration above which a drive has an activation, in m/s²: comfort braking is below it, Autoware's brake above.
+pub const ACTIVATION_MPS2: f64 = 2.5;
+
+const CONFIDENCE: f64 = 0.95;
+/// Two-sided quantile of the normal distribution at [`CONFIDENCE`].
+const NORMAL_QUANTILE: f64 = 1.96;
+const BATCH_SIZE: u64 = 4096;
+
+/// Effects of braking in each scenario space.
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct HarmReport {
+    /// Emergencies per hour of driving, as the configuration states.
+    pub emergencies_per_hour: f64,
+    /// One entry per scenario space and kind of follower; the first of a space has all followers.
+    pub groups: Vec<HarmGroup>,
+    /// Runs as a table of comma-separated values.
+    #[serde(skip)]
+    runs_csv: String,
+}
+
+/// Effects of braking with one kind of follower.
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct HarmGroup {
+    /// Scenario space.
+    pub space: ContentId,
+    /// Driver and class of the follower, or `all`.
+    pub follower: String,
+    /// Random scenarios with this follower.
+    pub drives: u64,
+    /// Scenarios in which some braking and acceleration avoids every collision, those proved to have none, and all that
+    /// were examined.
+    pub avoidable: [u64; 3],
+    /// One entry per controller.
+    pub controllers: Vec<ControllerHarm>,
+}
+
+/// Effects of one controller's braking.
+#[derive(Debug, Clone, Serialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct ControllerHarm {
+    /// Name of the controller.
+    pub controller: String,
+    /// Drives in which the vehicle under test brakes harder than [`ACTIVATION_MPS2`] before any collision.
+    pub activations: u64,
+    /// Drives in which the vehicle under test hits its leader, in percent.
+    pub ahead_percent: PercentInterval,
+    /// Drives in which the follower hits the vehicle under test, in percent.
+    pub behind_percent: PercentInterval,
+    /// Drives in which only the reference hits the leader.
+    pub avoided: u64,
+    /// Drives in which the follower hits only this controller's vehicle.
+    pub caused: u64,
+    /// Collisions behind caused per 100 activations.
+    pub caused_per_100_activations: PercentInterval,
+    /// Expected number of seriously injured drivers per 1000 drives, and half of its 95 % interval.
+    pub harm_per_1000: [Rounded<3>; 2],
+}
+
+/// One run.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+struct HarmRun {
+    follower: String,
+    speed_mps: f64,
+    /// Initial gaps ahead and behind, divided by the initial speed.
+    time_gaps_s: [Option<f64>; 2],
+    friction: f64,
+    activates: bool,
+    /// Impact speed with the leader, and of the follower, in m/s.
+    impacts_mps: [Option<f64>; 2],
+    harm: f64,
+}
+
+impl HarmRun {
+    fn new(scenario: &Scenario, simulated: &SimulationResult) -> Self {
+        let vehicles = scenario.vehicles();
+        let ego = (0..vehicles.len()).find(|&index| scenario.is_under_test(index)).unwrap_or(0);
+        let speed_mps = vehicles.get(ego).map_or(f64::NAN, |vehicle| vehicle.speed_mps);
+        let gap_s = |front: Option<usize>| {
+            let (front, rear) = (vehicles.get(front?)?, vehicles.get(front? + 1)?);
+            Some((front.position_m - front.length_m() - rear.position_m) / speed_mps).filter(|gap_s| gap_s.is_finite())
+        };
+        let hardest = |wanted: &dyn Fn(usize) -> bool| {
+            let found = simulated.impacts.iter().filter(|impact| wanted(impact.contact.rear_vehicle));
+            found.map(|impact| impact.contact.impact_speed_mps).reduce(f64::max)
+        };
+        let follower = vehicles.get(ego + 1);
+        Self {
+            follower: follower.map_or("none".to_owned(), |one| format!("{} {}", one.driver.name(), one.class.name())),
+            speed_mps,
+            time_gaps_s: [ego.checked_sub(1), Some(ego)].map(gap_s),
+            friction: scenario.spec().environment.friction,
+            activates: simulated.vehicles.get(ego).is_some_and(|one| one.max_brake_mps2 > ACTIVATION_MPS2),
+            impacts_mps: [hardest(&|rear| rear == ego), hardest(&|rear| rear == ego + 1)],
+            harm: harm(&simulated.impacts, vehicles.len()),
+        }
+    }
+
+    /// Simulates scenarios until their first collision, and those with a collision again to their end.
+    fn simulate_all(
+        scenarios: &[Scenario],
+        controller: &NamedController,
+        work: &GatherContext<'_>,
+    ) -> Result<Vec<Self>, AssessError> {
+        let options = RunOptions::new(controller.kind.clone()).with_estimator(work.plan.config.estimator);
+        let mut all = simulate_each(scenarios, &options, RecordingLevel::Summary, Self::new)?;
+        let collided: Vec<usize> = (0..all.len()).filter(|&index| all[index].harm > 0.0).collect();
+        let again: Vec<_> = collided.iter().map(|&index| scenarios[index].clone()).collect();
+        let options = options.with_after_contact(AfterContact::Continue);
+        for (index, run) in
+            collided.into_iter().zip(simulate_each(&again, &options, RecordingLevel::Summary, Self::new)?)
+        {
+            // Braking of vehicles that stick together is no activation.
+            all[index] = Self { activates: all[index].activates, ..run };
+        }
+        Ok(all)
+    }
+
+    fn gather(
+        named: &NamedSpace,
+        controller: &NamedController,
+        work: &GatherContext<'_>,
+    ) -> Result<Vec<Self>, AssessError> {
+        let config = &work.plan.config;
+        let inputs = json!([named.text, config.draws, config.seed, work.plan.identity(controller)]);
+        work.get_or_gather(&format!("harm of {} in {}", controller.name, named.space.name()), &inputs, || {
+            let mut all = Vec::new();
+            for from in (0..config.draws).step_by(BATCH_SIZE as usize) {
+                let draws = from..config.draws.min(from + BATCH_SIZE);
+                let scenarios =
+                    draws.map(|index| named.space.draw(config.seed, index)).collect::<Result<Vec<_>, _>>()?;
+                all.extend(Self::simulate_all(&scenarios, controller, work)?);
+                work.add_runs(scenarios.len() as u64)?;
+            }
+            Ok(all)
+        })
+    }
+}
+
+/// Returns the avoidability of the first scenarios of a space.
+fn gather_avoidability(
+    named: &NamedSpace,
+    harm: &HarmConfig,
+    work: &GatherContext<'_>,
+) -> Result<Vec<Option<bool>>, AssessError> {
+    let config = &work.plan.config;
+    let count = harm.avoid_draws.min(config.draws);
+    work.get_or_gather(
+        &format!("avoidability in {}", named.space.name()),
+        &json!([named.text, count, config.seed]),
+        || {
+            let scenarios = (0..count).map(|index| named.space.draw(config.seed, index));
+            let scenarios = scenarios.collect::<Result<Vec<_>, _>>()?;
+            Ok(scenarios.par_iter().map(|one| Avoidability::classify_contact(one).is_avoidable()).collect())
+        },
+    )
+}
+
+impl HarmReport {
+    pub(in crate::assessment) fn gather(work: &GatherContext<'_>) -> Result<Option<Self>, AssessError> {
+        let plan = work.plan;
+        let Some(config) = &plan.config.harm else { return Ok(None) };
+        let (mut groups, mut runs_csv) = (Vec::new(), CSV_HEADER.to_owned());
+        for named in &plan.rate_spaces {
+            let avoidability = gather_avoidability(named, config, work)?;
+            let mut runs = Vec::new();
+            for controller in &plan.controllers {
+                let of_controller = HarmRun::gather(named, controller, work)?;
+                write_csv(&mut runs_csv, named.space.name(), &controller.name, &of_controller, &avoidability);
+                runs.push((controller.name.as_str(), of_controller));
+            }
+            let mut followers: Vec<&str> = Vec::new();
+            for run in runs.first().into_iter().flat_map(|(_, runs)| runs) {
+                if !followers.contains(&run.follower.as_str()) {
+                    followers.push(&run.follower);
+                }
+            }
+            followers.sort_unstable();
+            let kinds = std::iter::once(None).chain(followers.into_iter().map(Some));
+            groups.extend(kinds.map(|follower| HarmGroup::new(&named.content_id, follower, &runs, &avoidability)));
+        }
+        Ok(Some(Self { emergencies_per_hour: config.emergencies_per_hour, groups, runs_csv }))
+    }
+
+    /// Returns the runs as a table of comma-separated values.
+    #[must_use]
+    pub(in crate::assessment) fn runs_csv(&self) -> &str {
+        &self.runs_csv
+    }
+}
+
+const CSV_HEADER: &str = "space,controller,draw,follower,speed_mps,gap_ahead_s,gap_behind_s,friction,avoidable,\
+                          activates,ahead_mps,behind_mps,harm\n";
+
+fn write_csv(out: &mut String, space: &str, controller: &str, runs: &[HarmRun], avoidability: &[Option<bool>]) {
+    let number = |value: Option<f64>| value.map_or_else(String::new, |value| value.to_string());
+    for (draw, run) in runs.iter().enumerate() {
+        let avoidable = match avoidability.get(draw) {
+            None => "",
+            Some(None) => "undecided",
+            Some(Some(true)) => "yes",
+            Some(Some(false)) => "no",
+        };
+        let [ahead_s, behind_s] = run.time_gaps_s.map(number);
+        // A controller's name may have commas.
+        let _ = writeln!(
+            out,
+            "{space},\"{}\",{draw},{},{},{ahead_s},{behind_s},{},{avoidable},{},{},{},{}",
+            controller.replace('"', "\"\""),
+            run.follower,
+            run.speed_mps,
+            run.friction,
+            u8::from(run.activates),
+            number(run.impacts_mps[0]),
+            number(run.impacts_mps[1]),
+            run.harm
+        );
+    }
+}
+
+impl HarmGroup {
+    fn new(
+        space: &ContentId,
+        follower: Option<&str>,
+        runs: &[(&str, Vec<HarmRun>)],
+        avoidability: &[Option<bool>],
+    ) -> Self {
+        let reference: &[HarmRun] = runs.first().map_or(&[], |(_, runs)| runs);
+        let is_in = |run: &HarmRun| follower.is_none_or(|follower| run.follower == follower);
+        let examined = || reference.iter().zip(avoidability).filter(|(run, _)| is_in(run)).map(|(_, decided)| decided);
+        let count = |wanted: Option<bool>| examined().filter(|decided| **decided == wanted).count() as u64;
+        let controllers = runs.iter().map(|(controller, runs)| {
+            let pairs = || runs.iter().zip(reference).filter(|(run, _)| is_in(run));
+            let count = |wanted: &dyn Fn(&HarmRun, &HarmRun) -> bool| {
+                pairs().filter(|(run, reference)| wanted(run, reference)).count() as u64
+            };
+            let drives = pairs().count() as u64;
+            let percent = |count, of| PercentInterval::clopper_pearson([count, 0], of, CONFIDENCE);
+            let activations = count(&|run, _| run.activates);
+            let caused =
+                |run: &HarmRun, reference: &HarmRun| run.impacts_mps[1].is_some() && reference.impacts_mps[1].is_none();
+            let mean = pairs().map(|(run, _)| run.harm).sum::<f64>() / drives as f64;
+            let variance = pairs().map(|(run, _)| (run.harm - mean).powi(2)).sum::<f64>() / drives as f64;
+            ControllerHarm {
+                controller: (*controller).to_owned(),
+                activations,
+                ahead_percent: percent(count(&|run, _| run.impacts_mps[0].is_some()), drives),
+                behind_percent: percent(count(&|run, _| run.impacts_mps[1].is_some()), drives),
+                avoided: count(&|run, reference| run.impacts_mps[0].is_none() && reference.impacts_mps[0].is_some()),
+                caused: count(&caused),
+                caused_per_100_activations: percent(
+                    count(&|run, reference| run.activates && caused(run, reference)),
+                    activations,
+                ),
+                harm_per_1000: [mean, NORMAL_QUANTILE * (variance / drives as f64).sqrt()]
+                    .map(|value| Rounded::new(1000.0 * value)),
+            }
+        });
+        Self {
+            space: space.clone(),
+            follower: follower.unwrap_or("all").to_owned(),
+            drives: reference.iter().filter(|run| is_in(run)).count() as u64,
+            avoidable: [count(Some(true)), count(Some(false)), examined().count() as u64],
+            controllers: controllers.collect(),
+        }
+    }
+
+    fn table(&self, emergencies_per_hour: f64) -> ReportTable {
+        let percent =
+            |share: PercentInterval| ReportCell::number(format!("{} ({})", share.observed, share.format_bounds()));
+        let per_hour = |harm: Rounded<3>| format!("{:.2e}", harm.value() / 1000.0 * emergencies_per_hour);
+        let columns: [ReportColumn<'_, &ControllerHarm>; 9] = [
+            ("controller", &|one| ReportCell::text(&one.controller)),
+            ("activations", &|one| ReportCell::number(one.activations)),
+            ("hits leader (%)", &|one| percent(one.ahead_percent)),
+            ("avoided", &|one| ReportCell::number(one.avoided)),
+            ("hit from behind (%)", &|one| percent(one.behind_percent)),
+            ("caused", &|one| ReportCell::number(one.caused)),
+            ("caused per 100 activations", &|one| percent(one.caused_per_100_activations)),
+            ("harm per 1000 drives", &|one| {
+                ReportCell::number(format!("{} ± {}", one.harm_per_1000[0], one.harm_per_1000[1]))
+            }),
+            ("harm per hour", &|one| ReportCell::number(per_hour(one.harm_per_1000[0]))),
+        ];
+        ReportTable::from_items(&self.controllers, &columns)
+    }
+}
+
+impl ReportPart for HarmReport {
+    fn anchor_and_title(&self) -> (&'static str, String) {
+        ("harm", "Collisions ahead avoided, collisions behind caused, and harm".to_owned())
+    }
+
+    fn write(&self, out: &mut ReportDocument) {
+        out.paragraph(&format!(
+            "Harm is the expected number of seriously injured drivers (MAIS3+ of Wang 2022, DOT HS 813 219, for light \
+             vehicles; also used for lorries). An activation is braking above {ACTIVATION_MPS2} m/s² before any \
+             collision. Avoided and caused are relative to the first controller in the same drive. Intervals are at 95 \
+             %: exact for shares, normal for harm. Rates per hour assume {} emergencies per hour. `runs.csv` has every \
+             run.",
+            self.emergencies_per_hour
+        ));
+        for group in &self.groups {
+            let [avoidable, unavoidable, examined] = group.avoidable;
+            out.heading(&format!("{}, follower: {}", group.space.name, group.follower));
+            out.paragraph(&format!(
+                "{} drives. Of the first {examined}, {avoidable} have an escape from every collision, and \
+                 {unavoidable} are proved to have none (`crumple avoid`).",
+                group.drives
+            ));
+            out.table(&group.table(self.emergencies_per_hour));
+        }
+    }
+}

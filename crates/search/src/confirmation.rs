@@ -1,0 +1,112 @@
+//! Confirmation of counterexamples and escapes by a replay with the multi-body plant.
+//!
+//! The search and the convex programs use the plants of the scenario, by default point masses. A replay in closed loop
+//! with [`CONFIRMING_PLANT`] shows which results depend on them. It decides nothing about other profiles: if an escape
+//! collides in the replay, another one may exist.
+
+use std::sync::Arc;
+
+use serde::{Deserialize, Serialize};
+
+use crumple_core::interval::RateInterval;
+use crumple_world::control::{Controller, ControllerFailure, ControllerKind, ControllerSource, Ego};
+use crumple_world::observation::{EstimatorKind, Observation};
+use crumple_world::scenario::{PlantKind, Scenario};
+use crumple_world::sim::{Outcome, RecordingLevel, Run, RunOptions, simulate};
+
+/// Plant of the replays.
+pub const CONFIRMING_PLANT: PlantKind = PlantKind::MultiBody;
+
+const CONFIDENCE: f64 = 0.95;
+
+/// Number of replays with a result, and the exact 95 % interval of its share.
+///
+/// The interval is that of independent random scenarios. A search selects its counterexamples, so that it does not
+/// extend to all failures of the space.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct ReplayShare {
+    /// Number of replays with the result.
+    pub count: u64,
+    /// Number of replays.
+    pub replays: u64,
+    /// Exact 95 % interval of the share.
+    #[serde(flatten)]
+    pub interval: RateInterval,
+}
+
+impl ReplayShare {
+    /// Counts the results; `None` if there is none.
+    #[must_use]
+    pub fn from_results(results: impl IntoIterator<Item = bool>) -> Option<Self> {
+        let add = |[count, replays]: [u64; 2], result| [count + u64::from(result), replays + 1];
+        let [count, replays] = results.into_iter().fold([0, 0], add);
+        let interval = RateInterval::clopper_pearson(count, replays, CONFIDENCE);
+        (replays > 0).then_some(Self { count, replays, interval })
+    }
+
+    /// Describes the share, with a noun phrase for what is counted.
+    #[must_use]
+    pub fn describe(&self, what: &str) -> String {
+        let share = self.count as f64 / self.replays as f64;
+        let [share, low, high] = [share, self.interval.lower, self.interval.upper].map(|share| 100.0 * share);
+        let Self { count, replays, .. } = self;
+        format!("{count} of {replays} {what} ({share:.1} %; exact 95 % interval: {low:.1} to {high:.1} %)")
+    }
+}
+
+/// Demand per speed error of a vehicle that follows an escape, in 1/s.
+const SPEED_GAIN_PER_S: f64 = 2.0;
+
+/// Replays an escape with [`CONFIRMING_PLANT`]: each vehicle under test demands the accelerations, one per step of the
+/// scenario, from its actuator, and corrects errors of its speed. Returns true if no vehicle collides; `None` if the
+/// scenario cannot be run.
+#[must_use]
+pub fn escape_survives(scenario: &Scenario, acceleration_mps2: &[Vec<f64>]) -> Option<bool> {
+    let first = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index))?;
+    let with_plant = scenario.with_plant(CONFIRMING_PLANT).ok()?;
+    // An escape is the motion of a vehicle whose driver knows the future, so that it has no delay.
+    let immediate = with_plant.edited(|spec| {
+        for vehicle in spec.vehicles.iter_mut().skip(first).take(acceleration_mps2.len()) {
+            (vehicle.reaction_delay_s, vehicle.actuator_delay_s) = (0.0, 0.0);
+        }
+    });
+    let playback = DemandPlayback { first, demand_mps2: acceleration_mps2.to_vec() };
+    let options = RunOptions::new(ControllerKind::Custom(Arc::new(playback))).with_estimator(EstimatorKind::Truth);
+    let run = Run::new(&immediate.ok()?, options).ok()?;
+    Some(simulate(&run, RecordingLevel::Summary).outcome == Outcome::NoCollision)
+}
+
+/// Source of controllers that follow prescribed accelerations, one per step.
+struct DemandPlayback {
+    /// Index of the vehicle with the first sequence.
+    first: usize,
+    demand_mps2: Vec<Vec<f64>>,
+}
+
+impl ControllerSource for DemandPlayback {
+    fn identity(&self) -> Option<String> {
+        None
+    }
+
+    fn start(&self, ego: &Ego, _seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
+        let own = ego.vehicle.checked_sub(self.first).and_then(|place| self.demand_mps2.get(place));
+        let demand_mps2 = own.cloned().unwrap_or_default().into_iter();
+        Ok(Box::new(DemandSequence { demand_mps2, speed_mps: None, step_s: ego.step_s }))
+    }
+}
+
+struct DemandSequence {
+    demand_mps2: std::vec::IntoIter<f64>,
+    /// Speed of the escape; `None` before the first step.
+    speed_mps: Option<f64>,
+    step_s: f64,
+}
+
+impl Controller for DemandSequence {
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+        let demand_mps2 = self.demand_mps2.next().unwrap_or(0.0);
+        let speed_mps = self.speed_mps.unwrap_or(seen.speed_mps);
+        self.speed_mps = Some((speed_mps + demand_mps2 * self.step_s).max(0.0));
+        Ok(demand_mps2 + SPEED_GAIN_PER_S * (speed_mps - seen.speed_mps))
+    }
+}

@@ -1,0 +1,76 @@
+//! Searches that end at the first failure, to compare methods.
+
+use serde::Serialize;
+
+use super::run::next_points;
+use super::{Campaign, CampaignError, CampaignProgress, EvaluationLog, ResolvedConfig};
+use crate::falsify::non_finite;
+use crumple_core::observer::Observer;
+
+/// Result of a search that ends at its first failure.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FirstFailure {
+    /// Number of simulations up to the first failure; `None` if the budget ended before.
+    pub simulations: Option<u64>,
+    /// Smallest robustness.
+    #[serde(serialize_with = "non_finite::serialize")]
+    pub least_robustness: f64,
+}
+
+impl Campaign {
+    /// Searches with the method alone, until the first failure or the end of the budget. Writes no files.
+    ///
+    /// # Errors
+    /// [`CampaignError`] if a scenario cannot be run, or `observer` stops the search.
+    pub fn find_first_failure(&self, observer: &dyn Observer<CampaignProgress>) -> Result<FirstFailure, CampaignError> {
+        let config = ResolvedConfig::from_campaign(self, EvaluationLog::Summary)?;
+        self.check(&config.nominal)?;
+        let mut search = self.method.start(&config.cube, config.record.seed);
+        let (mut done, mut best) = (0, f64::INFINITY);
+        while done < self.budget {
+            let points = next_points(&mut *search, &self.method, &config, self.budget - done)?;
+            let verdicts = self.evaluate(&config.space, &points)?;
+            let robustness: Vec<f64> = verdicts.iter().map(|verdict| verdict.robustness).collect();
+            let first = verdicts.iter().position(|verdict| verdict.is_violation());
+            let up_to = first.map_or(robustness.len(), |first| first + 1);
+            best = robustness.iter().take(up_to).copied().fold(best, f64::min);
+            observer.notify(&CampaignProgress {
+                method: Some(self.method.clone()),
+                evaluations: done + up_to as u64,
+                total: self.budget,
+                failures: u64::from(first.is_some()),
+                best_robustness: best,
+            })?;
+            done += up_to as u64;
+            if first.is_some() {
+                return Ok(FirstFailure { simulations: Some(done), least_robustness: best });
+            }
+            search.tell(&robustness);
+        }
+        Ok(FirstFailure { simulations: None, least_robustness: best })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::falsify::Method;
+    use crate::falsify::campaign::CampaignOptions;
+    use crumple_core::observer::Quiet;
+    use crumple_world::control::ControllerSpec;
+
+    #[test]
+    fn the_first_failure_is_that_of_the_campaign() {
+        for method in [Method::Halton, Method::CmaEs] {
+            let controller = ControllerSpec::from_name("predictive").unwrap().into();
+            let campaign = Campaign { controller, ..Campaign::of_match_leader("high-risk", method, 80, 3) };
+            let folder = tempfile::tempdir().unwrap();
+            let summary = campaign.run(folder.path(), CampaignOptions::default(), &Quiet).unwrap();
+            let found = campaign.find_first_failure(&Quiet).unwrap();
+            assert_eq!(found.simulations, summary.methods[0].first_falsification, "{}", campaign.method);
+            let budget = found.simulations.unwrap() - 1;
+            let short = Campaign { budget, ..campaign }.find_first_failure(&Quiet).unwrap();
+            assert!(budget > 0 && short.simulations.is_none() && short.least_robustness >= 0.0, "{budget}: {short:?}");
+        }
+    }
+}

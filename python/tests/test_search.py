@@ -1,0 +1,69 @@
+"""Tests of search methods written in Python."""
+
+import numpy as np
+import pytest
+
+import crumple
+
+
+class RandomSearch:
+    """Search that proposes random points, three at a time."""
+
+    def __init__(self, dimension, seed):
+        self.random = np.random.default_rng(seed)
+        self.dimension = dimension
+        self.received = []
+
+    def ask(self):
+        return self.random.random((3, self.dimension))
+
+    def tell(self, robustness):
+        self.received += robustness
+
+
+RANDOM = crumple.SearchMethod(RandomSearch, name="random")
+
+
+def test_a_campaign_takes_a_search_in_python_and_resumes_it(tmp_path):
+    searches = []
+
+    def start(dimension, seed):
+        searches.append(RandomSearch(dimension, seed))
+        return searches[-1]
+
+    def stop(done, _total, _failures):
+        if done > 20:
+            raise KeyboardInterrupt
+
+    arguments = {"controller": "match-leader", "budget": 50, "seed": 3}
+    whole = crumple.falsify(**arguments, method=crumple.SearchMethod(start, name="random"))
+    assert whole.falsified
+    assert whole.summary["method"] == "random"
+    assert len(searches[0].received) == whole.summary["methods"][0]["evaluations"] == 50
+    assert min(searches[0].received) == whole.summary["methods"][0]["best_robustness"] < 0
+    with pytest.raises(KeyboardInterrupt):
+        crumple.falsify(**arguments, method=RANDOM, folder=tmp_path, progress=stop)
+    assert crumple.falsify(**arguments, method=RANDOM, folder=tmp_path, resume=True).summary == whole.summary
+
+
+def test_methods_are_compared_on_the_same_seeds():
+    compared = crumple.compare("match-leader", methods=[RANDOM, RANDOM, "uniform"], seeds=5, budget=100)
+    one, other, uniform = compared.data["methods"]
+    assert one == other
+    assert [len(method["runs"]) for method in compared.data["methods"]] == [5, 5, 5]
+    assert one["runs"] != uniform["runs"]
+    assert compared.data["pairs"][0]["fewer_simulations"]["p"] == 1.0
+    assert "random against uniform" in str(compared)
+
+
+@pytest.mark.parametrize("points", [[[0.5]], [], [[2.0] * 100], None])
+def test_wrong_points_are_refused(points):
+    class Wrong(RandomSearch):
+        def ask(self):
+            if points is None:
+                raise ZeroDivisionError("in the search")
+            return points
+
+    raised = (ZeroDivisionError, "in the search") if points is None else (crumple.CampaignError, "`wrong`")
+    with pytest.raises(raised[0], match=raised[1]):
+        crumple.falsify("match-leader", method=crumple.SearchMethod(Wrong, name="wrong"), budget=10)
