@@ -1,6 +1,7 @@
 //! Bounds of a memoryless controller's command over a box of observations.
 
 use super::MotionModel;
+use super::table::AXIS_COUNT;
 use crate::Rejection;
 use crate::interval::Interval;
 use crate::reach::controller::OBSERVATION_SIZE;
@@ -14,7 +15,7 @@ const LEADER: usize = 2;
 const OWN: usize = 3;
 const LEADER_ACCELERATION: usize = 5;
 const OWN_ACCELERATION: usize = 6;
-const INTERVAL_OPS_PER_LAW: u64 = 40;
+const INTERVAL_OPS_PER_LAW: u64 = 200;
 
 /// The controller of the vehicle under test.
 #[derive(Debug)]
@@ -23,13 +24,6 @@ pub(super) enum CommandModel<'a> {
     Law(&'a FollowerLaw, Interval),
     /// A network; its limits, and those of the leader, are those of the observed accelerations.
     Network(Box<NeuralController>, [Interval; 2]),
-}
-
-/// Observed gap, own and leader's speed.
-pub(super) struct Observed {
-    pub(super) gap: Interval,
-    pub(super) own: Interval,
-    pub(super) leader: Interval,
 }
 
 impl CommandModel<'_> {
@@ -57,22 +51,23 @@ impl CommandModel<'_> {
         }
     }
 
-    /// Returns the commands for a box of observations; the whole line if the budget is exceeded.
-    pub(super) fn range(&self, seen: &Observed, limits: Interval, work: &OpBudget) -> Interval {
+    /// Returns the commands for observed gaps, own and leader's speeds; the whole line if the budget is exceeded.
+    pub(super) fn range(&self, observed: &[AffineForm; 3], limits: Interval, work: &OpBudget) -> Interval {
         let command = match self {
             Self::Law(law, set_speed) => {
                 if !work.charge(INTERVAL_OPS_PER_LAW * OPS_PER_INTERVAL_OP) {
                     return Interval::ENTIRE;
                 }
-                law.command_range([seen.gap, seen.own, seen.leader], *set_speed, limits)
+                law.command_range(observed, *set_speed, limits)
             }
             Self::Network(network, [own_mps2, leader_mps2]) => {
                 let mut forms: [AffineForm; OBSERVATION_SIZE] = Default::default();
-                let known = [(GAP, seen.gap), (LEADER, seen.leader), (OWN, seen.own)];
-                let known =
-                    known.into_iter().chain([(LEADER_ACCELERATION, *leader_mps2), (OWN_ACCELERATION, *own_mps2)]);
-                for (symbol, (place, range)) in known.enumerate() {
-                    forms[place] = AffineForm::symbol(symbol, range);
+                for (place, form) in [GAP, OWN, LEADER].into_iter().zip(observed) {
+                    forms[place] = form.clone();
+                }
+                let accelerations = [(LEADER_ACCELERATION, leader_mps2), (OWN_ACCELERATION, own_mps2)];
+                for (symbol, (place, range)) in (AXIS_COUNT + 1..).zip(accelerations) {
+                    forms[place] = AffineForm::symbol(symbol, *range);
                 }
                 network.decide_with_budget(&forms, &[0.0; OBSERVATION_SIZE], false, work).range()
             }

@@ -55,7 +55,7 @@ use crate::reach::{FollowerLaw, NetworkFileSource, load_controller};
 use crate::work::{OpBudget, WorkLimit};
 use crate::{ProvedClaim, Rejection};
 use command::CommandModel;
-pub use step::{ClosedLoop, Shortfall};
+use step::ClosedLoop;
 use table::{AXIS_COUNT, Axis, HeightTable, MAX_NODES};
 
 const MAX_SPLITS: u32 = 4;
@@ -158,17 +158,22 @@ impl InvariantClaim {
         Interval::point(self.step_s) * Interval::point(f64::from(self.decision_steps))
     }
 
-    /// Calls a function with the closed loop, for a search.
+    /// Checks limits and controller, without the set.
     ///
     /// # Errors
     /// [`Rejection`] if the claim is invalid or the policy file does not fit.
-    pub fn with_closed_loop<R>(
-        &self,
-        policy: Option<&[u8]>,
-        search: impl FnOnce(&ClosedLoop<'_>) -> R,
-    ) -> Result<R, Rejection> {
+    pub fn check_model(&self, policy: Option<&[u8]>) -> Result<(), Rejection> {
+        self.closed_loop(policy, &OpBudget::new(WorkLimit::UNLIMITED)).map(drop)
+    }
+
+    /// Returns the cells of a boundary for which the check fails.
+    ///
+    /// # Errors
+    /// [`Rejection`] if the claim is invalid or the policy file does not fit.
+    pub fn failing_cells(&self, policy: Option<&[u8]>, table: &HeightTable) -> Result<Vec<usize>, Rejection> {
         let unlimited = OpBudget::new(WorkLimit::UNLIMITED);
-        Ok(search(&self.closed_loop(policy, &unlimited)?))
+        let failing = failing_cells(&self.closed_loop(policy, &unlimited)?, table, usize::MAX);
+        Ok(failing.into_iter().map(|(index, _)| index).collect())
     }
 
     fn closed_loop<'a>(&'a self, policy: Option<&[u8]>, budget: &'a OpBudget) -> Result<ClosedLoop<'a>, Rejection> {
@@ -303,10 +308,10 @@ pub(crate) fn check(claim: &InvariantClaim, policy: Option<&[u8]>, work: &OpBudg
     if !(min_gap_m > 0.0) {
         return Err(Rejection::invalid("heights", "are too small to exclude a collision between decisions"));
     }
-    let failed = first_failing_cell(&closed_loop, &table);
+    let failed = failing_cells(&closed_loop, &table, 1);
     // The verdict does not depend on which thread first exceeded the budget.
     work.charge_or_reject(0)?;
-    if let Some((cell, missing_m)) = failed {
+    if let Some(&(cell, missing_m)) = failed.first() {
         return Err(Rejection::LeavesSet { cell, missing_m });
     }
     let share = claim.share(&table)?;
@@ -321,20 +326,18 @@ pub(crate) fn check(claim: &InvariantClaim, policy: Option<&[u8]>, work: &OpBudg
     Ok(ProvedClaim::Invariant { share, min_gap_m, own_speed_is_kept })
 }
 
-/// Returns the first cell that fails, in order, and its shortfall in metres; runs on all cores.
-fn first_failing_cell(closed_loop: &ClosedLoop<'_>, table: &HeightTable) -> Option<(usize, f64)> {
-    let cells: Vec<_> = table.cells().collect();
+/// Returns failing cells in order, as index and missing height in metres, at most `limit` per thread; runs on all cores.
+fn failing_cells(closed_loop: &ClosedLoop<'_>, table: &HeightTable, limit: usize) -> Vec<(usize, f64)> {
+    let cells: Vec<_> = table.cells().enumerate().collect();
     let threads = std::thread::available_parallelism().map_or(1, usize::from);
-    let size = cells.len().div_ceil(threads).max(1);
     std::thread::scope(|scope| {
-        let check = |(part, cells): (usize, &[[usize; AXIS_COUNT]])| {
-            cells.iter().enumerate().find_map(|(index, &cell)| {
-                let failed = closed_loop.check_cell(table, cell).err()?;
-                Some((part * size + index, failed.missing_m))
-            })
+        let check = |cells: &[(usize, [usize; AXIS_COUNT])]| -> Vec<_> {
+            let fails = |&(index, cell): &(usize, _)| Some((index, closed_loop.check_cell(table, cell).err()?));
+            cells.iter().filter_map(fails).take(limit).collect()
         };
-        let parts: Vec<_> = cells.chunks(size).enumerate().map(|part| scope.spawn(move || check(part))).collect();
-        let died = || Some((0, f64::INFINITY));
-        parts.into_iter().filter_map(|part| part.join().unwrap_or_else(|_| died())).min_by_key(|(index, _)| *index)
+        let chunks = cells.chunks(cells.len().div_ceil(threads).max(1));
+        let parts: Vec<_> = chunks.map(|cells| scope.spawn(move || check(cells))).collect();
+        let died = |_| vec![(0, f64::INFINITY)];
+        parts.into_iter().flat_map(|part| part.join().unwrap_or_else(died)).collect()
     })
 }

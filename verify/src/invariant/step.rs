@@ -1,10 +1,11 @@
 //! The condition on one part of one cell, and its proof: see [`invariant`](super).
 
-use super::command::{CommandModel, Observed};
+use super::command::CommandModel;
 use super::table::{AXIS_COUNT, Axis, HeightTable};
 use super::{InvariantClaim, MotionModel};
 use crate::interval::Interval;
 use crate::motion::distance_and_speed_after;
+use crate::reach::form::AffineForm;
 use crate::work::{OPS_PER_INTERVAL_OP, OpBudget};
 
 const INTERVAL_OPS_PER_PART: u64 = 60;
@@ -12,22 +13,9 @@ const INTERVAL_OPS_PER_SIMPLEX: u64 = 12;
 /// Maximum number of cells that one decision interval may touch.
 const MAX_TOUCHED_CELLS: usize = 4096;
 
-/// A part of a cell for which the condition fails, with the simplex and the motion for which it fails most.
-#[derive(Debug, Clone, PartialEq)]
-pub struct Shortfall {
-    /// Missing height, in metres; infinite if the part leaves the table.
-    pub missing_m: f64,
-    /// Cell of the simplex.
-    pub cell: [usize; AXIS_COUNT],
-    /// Index of the order of the simplex.
-    pub order: usize,
-    /// Change of the state over the decision interval.
-    pub change: [f64; AXIS_COUNT],
-}
-
 /// A vehicle under test behind a leader, with the boundary of a set.
 #[derive(Debug)]
-pub struct ClosedLoop<'a> {
+pub(super) struct ClosedLoop<'a> {
     pub(super) motion: MotionModel,
     pub(super) command: CommandModel<'a>,
     pub(super) interval_s: Interval,
@@ -43,109 +31,96 @@ pub struct ClosedLoop<'a> {
 
 /// Bounds of the motion over a decision interval.
 struct Change {
-    /// Distance of the leader, or in the relative model the growth of the gap: only the lower bound counts.
-    leader_m: Interval,
-    /// Distance of the vehicle under test: only the upper bound counts.
-    own_m: Interval,
+    /// Lower bounds of the leader's distance, and of the growth of the gap.
+    leader_m: f64,
+    growth_m: f64,
     /// Largest acceleration, if it is a braking that may stop the vehicle.
     stops_at_mps2: Option<f64>,
     of_state: [Interval; AXIS_COUNT],
 }
 
-/// A part of a cell, and how far above the boundary its states are.
+/// A part of a simplex, and how far above the boundary its states are.
 #[derive(Clone)]
 struct Part {
-    ranges: [Interval; AXIS_COUNT],
+    cell: [usize; AXIS_COUNT],
+    order: usize,
+    /// Barycentric coordinates of the nodes after the first.
+    shares: [Interval; AXIS_COUNT],
     above_m: Interval,
 }
 
-impl ClosedLoop<'_> {
-    /// Returns the largest vertical distance from the boundary below which a state of a cell may leave the set within
-    /// one decision interval, with any command.
-    fn layer_m(&self, table: &HeightTable, cell: [usize; AXIS_COUNT]) -> f64 {
-        let ranges = std::array::from_fn(|axis| table.axes()[axis].cell(cell[axis]));
-        match self.judge(table, &ranges, self.own_mps2, 0.0) {
-            Some(shortfall) => shortfall.missing_m,
-            None => 0.0,
-        }
-    }
+/// Speeds and own acceleration of the states of a part, and their closing speeds.
+#[derive(Clone, Copy)]
+struct PartRanges {
+    of_axis: [Interval; AXIS_COUNT],
+    closing: Interval,
+}
 
+impl ClosedLoop<'_> {
     /// Checks that no state of a cell at or above the boundary leaves the set within one decision interval.
     ///
     /// # Errors
-    /// [`Shortfall`] of the first part that fails.
-    pub fn check_cell(&self, table: &HeightTable, cell: [usize; AXIS_COUNT]) -> Result<(), Shortfall> {
-        let Some(above_m) = Interval::new(0.0, self.layer_m(table, cell)) else {
-            return Err(Shortfall { missing_m: f64::INFINITY, cell, order: 0, change: [0.0; AXIS_COUNT] });
-        };
-        let ranges = std::array::from_fn(|axis| table.axes()[axis].cell(cell[axis]));
-        self.check_part(table, cell, &Part { ranges, above_m }, self.splits)
+    /// The missing height in metres, of the first part that fails.
+    pub(super) fn check_cell(&self, table: &HeightTable, cell: [usize; AXIS_COUNT]) -> Result<(), f64> {
+        let share = Interval::ZERO.hull(Interval::ONE);
+        (0..table.orders().len()).try_for_each(|order| {
+            let mut part = Part { cell, order, shares: [share; AXIS_COUNT], above_m: Interval::ZERO };
+            // Further above the boundary than this no command leads out of the set.
+            let layer_m = self.missing_m(table, &part.ranges(table), self.own_mps2, 0.0).max(0.0);
+            part.above_m = Interval::new(0.0, layer_m).ok_or(f64::INFINITY)?;
+            self.check_part(table, &part, self.splits)
+        })
     }
 
-    fn check_part(
-        &self,
-        table: &HeightTable,
-        cell: [usize; AXIS_COUNT],
-        part: &Part,
-        splits: u32,
-    ) -> Result<(), Shortfall> {
+    fn check_part(&self, table: &HeightTable, part: &Part, splits: u32) -> Result<(), f64> {
         // Above the budget every part fails at once, and is not divided.
         if !self.budget.charge(INTERVAL_OPS_PER_PART * OPS_PER_INTERVAL_OP) {
-            return Err(Shortfall { missing_m: f64::INFINITY, cell, order: 0, change: [0.0; AXIS_COUNT] });
+            return Err(f64::INFINITY);
         }
-        let gap = table.heights_over(cell, &part.ranges) + part.above_m;
-        let command = self.command.range(&self.observe(gap, &part.ranges), self.own_mps2, self.budget);
-        let Some(shortfall) = self.judge(table, &part.ranges, command, part.above_m.low()) else { return Ok(()) };
+        let (gap, [own, leader, _]) = part.forms(table);
+        let mut observed = [gap, own, leader];
+        observed.iter_mut().zip(self.error).for_each(|(form, error)| form.widen(error));
+        let command = self.command.range(&observed, self.own_mps2, self.budget);
+        let missing_m = self.missing_m(table, &part.ranges(table), command, part.above_m.low());
+        if missing_m <= 0.0 {
+            return Ok(());
+        }
         if splits == 0 {
-            return Err(shortfall);
+            return Err(missing_m);
         }
         let mut parts = vec![part.clone()];
-        for axis in 0..=AXIS_COUNT {
-            let range = |part: &Part| part.ranges.get(axis).copied().unwrap_or(part.above_m);
-            parts = parts.iter().flat_map(|part| halves(range(part)).map(|half| part.with_range(axis, half))).collect();
+        for share in (0..table.orders()[part.order].len()).map(Some).chain([None]) {
+            parts = parts.iter().flat_map(|part| part.halves(share)).collect();
         }
-        parts.iter().try_for_each(|part| self.check_part(table, cell, part, splits - 1))
+        // A part with a sum of 1 at its lowest corner has one state at most, which is also in another part.
+        let is_inside = |part: &&Part| part.shares.iter().map(|share| share.low()).sum::<f64>() < 1.0;
+        parts.iter().filter(is_inside).try_for_each(|part| self.check_part(table, part, splits - 1))
     }
 
-    fn observe(&self, gap: Interval, ranges: &[Interval; AXIS_COUNT]) -> Observed {
-        let [gap_error, own_error, leader_error] = self.error.map(Interval::around_zero);
-        Observed { gap: gap + gap_error, own: ranges[0] + own_error, leader: ranges[1] + leader_error }
-    }
-
-    /// Returns the shortfall of states at least `above_m` above the boundary, under a command.
-    fn judge(
-        &self,
-        table: &HeightTable,
-        ranges: &[Interval; AXIS_COUNT],
-        command: Interval,
-        above_m: f64,
-    ) -> Option<Shortfall> {
-        let change = self.change(ranges, command);
+    /// Returns an upper bound of the height that states at least `above_m` above the boundary miss under a command.
+    fn missing_m(&self, table: &HeightTable, ranges: &PartRanges, command: Interval, above_m: f64) -> f64 {
+        let mut of_state = self.change(ranges, command).of_state;
         let mut touched = [[0; 2]; AXIS_COUNT];
-        let mut of_state = change.of_state;
         for (axis, touched) in touched.iter_mut().enumerate() {
-            let (whole, part) = (table.axes()[axis].range(), ranges[axis]);
+            let (whole, part) = (table.axes()[axis].range(), ranges.of_axis[axis]);
             // The claim ends where a state leaves the table.
             let leaving = [whole.low() - part.high(), whole.high() - part.low()];
             let to_edge = Interval::new(leaving[0].next_down(), leaving[1].next_up()).unwrap_or(Interval::ENTIRE);
-            of_state[axis] = of_state[axis].max(Interval::point(to_edge.low())).min(Interval::point(to_edge.high()));
-            let reached = (part + of_state[axis]).hull(part);
-            let reached = reached.max(Interval::point(whole.low())).min(Interval::point(whole.high()));
-            *touched = table.axes()[axis].cells_of(reached);
+            of_state[axis] = clip(of_state[axis], to_edge);
+            // Without rounding where no state moves: a simplex that only the start touches adds nothing.
+            let (change, moved) = (of_state[axis], part + of_state[axis]);
+            let low = if change.low() < 0.0 { moved.low() } else { part.low() };
+            let high = if change.high() > 0.0 { moved.high() } else { part.high() };
+            let reached = Interval::new(low, high).unwrap_or(Interval::ENTIRE);
+            *touched = table.axes()[axis].cells_of(clip(reached, whole));
         }
         let count: usize = touched.iter().map(|[first, last]| last - first + 1).product();
-        let mut worst = Shortfall {
-            missing_m: if count > MAX_TOUCHED_CELLS { f64::INFINITY } else { f64::NEG_INFINITY },
-            cell: std::array::from_fn(|axis| touched[axis][0]),
-            order: 0,
-            change: [0.0; AXIS_COUNT],
-        };
-        let simplices = (count * table.orders().len()) as u64;
-        if count > MAX_TOUCHED_CELLS || !self.budget.charge(simplices * INTERVAL_OPS_PER_SIMPLEX * OPS_PER_INTERVAL_OP)
-        {
-            return Some(Shortfall { missing_m: f64::INFINITY, ..worst });
+        let operations = (count * table.orders().len()) as u64 * INTERVAL_OPS_PER_SIMPLEX * OPS_PER_INTERVAL_OP;
+        if count > MAX_TOUCHED_CELLS || !self.budget.charge(operations) {
+            return f64::INFINITY;
         }
         let [own, leader, acceleration] = touched.map(|[first, last]| first..=last);
+        let mut worst_m = f64::NEG_INFINITY;
         for cell in own.flat_map(|i| {
             let acceleration = acceleration.clone();
             leader.clone().flat_map(move |j| acceleration.clone().map(move |k| [i, j, k]))
@@ -153,53 +128,40 @@ impl ClosedLoop<'_> {
             let mut from = *ranges;
             let mut of_state = of_state;
             let is_touched = |(axis, &Axis { cells, .. }): (usize, &Axis)| {
-                let reach = touch(from[axis], of_state[axis], table.axes()[axis].cell(cell[axis]));
-                let reach = if cells == 0 { Some([from[axis], of_state[axis]]) } else { reach };
-                reach.map(|[start, along]| (from[axis], of_state[axis]) = (start, along)).is_some()
+                let whole = [from.of_axis[axis], of_state[axis]];
+                let reach = touch(whole[0], whole[1], table.axes()[axis].cell(cell[axis]));
+                let reach = if cells == 0 { Some(whole) } else { reach };
+                reach.map(|[start, along]| (from.of_axis[axis], of_state[axis]) = (start, along)).is_some()
             };
             if !table.axes().iter().enumerate().all(is_touched) {
                 continue;
             }
             let change = self.change(&from, command);
-            let spare_m = sum_below(above_m, change.leader_m.low().max(0.0));
-            for (order, axes) in table.orders().iter().enumerate() {
+            for axes in table.orders() {
                 let slopes = table.slopes(cell, axes);
-                let own = match change.stops_at_mps2.filter(|_| slopes[0].low() >= 0.0) {
-                    Some(braking) => self.stopping_rise(from[0], braking, slopes[0]),
-                    None => change.own_m + slopes[0] * of_state[0],
+                let (spare_m, own) = match change.stops_at_mps2.filter(|_| slopes[0].low() >= 0.0) {
+                    Some(braking) => (change.leader_m, self.stopping_rise(from.of_axis[0], braking, slopes[0])),
+                    None => (change.growth_m, slopes[0] * of_state[0]),
                 };
                 let others = axes.iter().filter(|&&axis| axis > 0 && slopes[axis] != Interval::ZERO);
                 let less = |sum: f64, &axis: &usize| sum_below(sum, -(slopes[axis] * of_state[axis]).high());
-                let missing_m = -others.fold(sum_below(spare_m, -own.high()), less);
-                if missing_m > worst.missing_m || missing_m.is_nan() {
-                    let end = |axis: usize| {
-                        let [low, high] = [of_state[axis].low(), of_state[axis].high()];
-                        let middle = 0.5 * (slopes[axis].low() + slopes[axis].high());
-                        let is_stop = axis == 0 && change.stops_at_mps2.is_some();
-                        match (is_stop || middle * low > middle * high, middle == 0.0) {
-                            (true, _) => low,
-                            (_, true) => 0.0_f64.clamp(low, high),
-                            _ => high,
-                        }
-                    };
-                    worst = Shortfall { missing_m, cell, order, change: std::array::from_fn(end) };
-                }
+                let missing_m = -others.fold(sum_below(sum_below(above_m, spare_m), -own.high()), less);
+                worst_m = if missing_m.is_nan() { f64::INFINITY } else { worst_m.max(missing_m) };
             }
         }
         // The own cell is always touched.
-        let holds = worst.missing_m <= 0.0 && worst.missing_m > f64::NEG_INFINITY;
-        (!holds).then_some(worst)
+        if worst_m == f64::NEG_INFINITY { f64::INFINITY } else { worst_m }
     }
 
-    fn change(&self, ranges: &[Interval; AXIS_COUNT], command: Interval) -> Change {
+    fn change(&self, ranges: &PartRanges, command: Interval) -> Change {
         let point = Interval::point;
         let (time, half) = (self.interval_s, self.interval_s.sqr() * point(0.5));
-        let [own, leader, acceleration] = *ranges;
+        let [own, leader, acceleration] = ranges.of_axis;
         if self.motion == MotionModel::Relative {
             let relative = command - self.leader_mps2;
             return Change {
-                leader_m: Interval::ZERO,
-                own_m: own * time + point(relative.high()) * half,
+                leader_m: 0.0,
+                growth_m: -(own * time + point(relative.high()) * half).high(),
                 stops_at_mps2: None,
                 of_state: [relative * time, Interval::ZERO, Interval::ZERO],
             };
@@ -209,10 +171,16 @@ impl ClosedLoop<'_> {
         let (held, leads) = (first.hull(all), self.leader_mps2);
         let changes = |speed: Interval, acceleration: Interval| (acceleration * time).max(-speed);
         let hardest = point(held.high());
+        let leader_m = distance_and_speed_after(point(leader.low()), point(leads.low()), time).0.low().max(0.0);
+        let own_m = distance_and_speed_after(point(own.high()), hardest, time).0.high();
+        let may_stop = (point(own.low()) + hardest * time).low() < 0.0;
+        // A vehicle that may stop covers at least w T - b T²/2; one that does not stop covers v T + a T²/2.
+        let of_closing = (point(leads.low()) - hardest) * half - point(ranges.closing.high()) * time;
+        let apart_m = sum_below(leader_m, -own_m);
         Change {
-            leader_m: distance_and_speed_after(point(leader.low()), point(leads.low()), time).0,
-            own_m: distance_and_speed_after(point(own.high()), hardest, time).0,
-            stops_at_mps2: ((point(own.low()) + hardest * time).low() < 0.0).then_some(held.high()),
+            leader_m,
+            growth_m: if may_stop { apart_m } else { apart_m.max(of_closing.low()) },
+            stops_at_mps2: may_stop.then_some(held.high()),
             of_state: [changes(own, held), changes(leader, leads), (command - acceleration) * self.response[1]],
         }
     }
@@ -243,22 +211,51 @@ impl ClosedLoop<'_> {
                 return true;
             }
             let gap = Interval::new(table.extremes()[0], farthest_m).unwrap_or(Interval::ENTIRE);
-            let ranges = [speeds, table.axes()[1].range(), table.axes()[2].range()];
-            self.command.range(&self.observe(gap, &ranges), self.own_mps2, self.budget).high() <= 0.0
+            let mut observed = [gap, speeds, table.axes()[1].range()].map(AffineForm::constant);
+            observed.iter_mut().zip(self.error).for_each(|(form, error)| form.widen(error));
+            self.command.range(&observed, self.own_mps2, self.budget).high() <= 0.0
         };
         is_immediate && (0..axis.cells as usize).all(keeps)
     }
 }
 
 impl Part {
-    fn with_range(&self, axis: usize, range: Interval) -> Self {
-        let mut part = self.clone();
-        match part.ranges.get_mut(axis) {
-            Some(of_axis) => *of_axis = range,
-            None => part.above_m = range,
-        }
-        part
+    /// Returns the gap, and the states without it, as forms in the shares and the height above.
+    fn forms(&self, table: &HeightTable) -> (AffineForm, [AffineForm; AXIS_COUNT]) {
+        let nodes = table.simplex(self.cell, &table.orders()[self.order]);
+        let affine = |at: &dyn Fn([usize; AXIS_COUNT]) -> f64| {
+            let first = Interval::point(at(nodes[0]));
+            let mut form = AffineForm::constant(first);
+            for (symbol, &node) in nodes[1..].iter().enumerate() {
+                let share = AffineForm::symbol(symbol, self.shares[symbol]);
+                form.add_scaled(&share, Interval::point(at(node)) - first);
+            }
+            form
+        };
+        let height = affine(&|node| table.node_height(node));
+        let of_axis = std::array::from_fn(|axis| affine(&|node| table.axes()[axis].node(node[axis])));
+        (height.plus(&AffineForm::symbol(AXIS_COUNT, self.above_m)), of_axis)
     }
+
+    fn ranges(&self, table: &HeightTable) -> PartRanges {
+        let (_, forms) = self.forms(table);
+        let of_axis = |axis: usize| clip(forms[axis].range(), table.axes()[axis].cell(self.cell[axis]));
+        PartRanges { of_axis: std::array::from_fn(of_axis), closing: forms[0].clone().minus(&forms[1]).range() }
+    }
+
+    /// Returns both halves of one share, or of the height above if there is no such share.
+    fn halves(&self, share: Option<usize>) -> Vec<Self> {
+        let with = |half: Interval| {
+            let mut part = self.clone();
+            *share.map_or(&mut part.above_m, |share| &mut part.shares[share]) = half;
+            part
+        };
+        halves(share.map_or(self.above_m, |share| self.shares[share])).map(with).collect()
+    }
+}
+
+fn clip(range: Interval, limits: Interval) -> Interval {
+    range.max(Interval::point(limits.low())).min(Interval::point(limits.high()))
 }
 
 /// Returns a lower bound of a sum, which is the sum itself if double precision can express it: at rest nothing is lost.

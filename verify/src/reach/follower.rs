@@ -161,18 +161,23 @@ impl FollowerLaw {
         }
     }
 
-    /// Returns the commands for observed gaps, own and leader's speeds, before clipping to `limits`, whose lower end is
-    /// the command of the emergency brake. `set_speed` are the speeds u of `acc-aeb`.
-    pub(crate) fn command_range(
-        &self,
-        [gap, own, leader]: [Interval; 3],
-        set_speed: Interval,
-        limits: Interval,
-    ) -> Interval {
-        let closing = own - leader;
+    /// Returns the commands for observed gaps, own and leader's speeds. `limits` are those of the vehicle, and
+    /// `set_speed` the speeds u of `acc-aeb`.
+    pub(crate) fn command_range(&self, observed: &[AffineForm; 3], set_speed: Interval, limits: Interval) -> Interval {
+        let [gap, speed, leader] = observed.clone();
+        let sight = LawInput { closing: speed.clone().minus(&leader), gap, speed };
+        let brake = AffineForm::constant(-Interval::point(limits.low()));
         match self {
-            Self::Idm(law) => law.desired_acceleration_interval(gap, own, closing),
-            Self::AccAeb(law) => law.command_interval(gap, own, closing, set_speed, limits.low()),
+            Self::Idm(law) => law.acceleration(&sight, &brake).range(),
+            // The command grows with u. The cruise control alone bounds it for any gap.
+            Self::AccAeb(law) => {
+                let highest = AffineForm::constant(Interval::point(set_speed.high()));
+                let form = law.acceleration(&sight, &highest, &brake).range();
+                let cruise = Interval::point(law.speed_gain_per_s) * (set_speed - sight.speed.range());
+                let cruise = cruise.max(-Interval::point(law.comfort_brake_mps2)).max(Interval::point(limits.low()));
+                let high = form.high().min(cruise.high());
+                Interval::new(form.low().min(cruise.low()).min(high), high).unwrap_or(Interval::ENTIRE)
+            }
         }
     }
 
@@ -234,29 +239,14 @@ impl<'a> LawFollower<'a> {
     }
 
     fn acceleration(&self, sight: &LawInput) -> AffineForm {
-        let hardest = || self.brake.scaled(Interval::point(-1.0));
         match self.law {
             FollowerLaw::Idm(law) => law.acceleration(sight, &self.brake),
-            FollowerLaw::AccAeb(law) => {
-                let guard = law.guard(sight).range();
-                if guard.high() < 0.0 {
-                    return self.clamp_to_limits(&hardest());
-                }
-                let following = self.clamp_to_limits(&law.acc_acceleration(sight, &self.set_speed));
-                if guard.low() >= 0.0 {
-                    return following;
-                }
-                AffineForm::constant(following.range().hull(-self.brake.range()))
-            }
+            FollowerLaw::AccAeb(law) => law.acceleration(sight, &self.set_speed, &self.brake),
         }
     }
 
     fn law_input(&self, ego: &VehicleState, own: &VehicleState) -> LawInput {
         LawInput::new(self.gap(ego, own), own.speed.clone(), own.speed.clone().minus(&ego.speed))
-    }
-
-    fn clamp_to_limits(&self, wanted: &AffineForm) -> AffineForm {
-        clamp_to_limits(wanted, &self.brake, self.law.max_accel_mps2())
     }
 }
 
@@ -313,26 +303,15 @@ impl AccAebLaw {
         guard
     }
 
-    /// Returns the command in interval arithmetic; `emergency` is that of the emergency brake.
-    fn command_interval(
-        &self,
-        gap: Interval,
-        speed: Interval,
-        closing: Interval,
-        set_speed: Interval,
-        emergency: f64,
-    ) -> Interval {
-        let point = Interval::point;
-        let (emergency, guard) = (point(emergency), gap - point(self.ttc_s) * closing);
+    /// Returns the command of a vehicle that brakes at up to `brake`.
+    fn acceleration(&self, sight: &LawInput, set_speed: &AffineForm, brake: &AffineForm) -> AffineForm {
+        let clamp = |wanted: &AffineForm| clamp_to_limits(wanted, brake, self.max_accel_mps2);
+        let guard = self.guard(sight).range();
         if guard.high() < 0.0 {
-            return emergency;
+            return clamp(&brake.scaled(Interval::point(-1.0)));
         }
-        let gain = point(self.speed_gain_per_s);
-        let spacing = gap - point(self.standstill_gap_m) - point(self.time_headway_s) * speed;
-        let follow = point(self.gap_gain_per_s2) * spacing - gain * closing;
-        let command = (gain * (set_speed - speed)).min(follow);
-        let command = command.max(point(-self.comfort_brake_mps2)).min(point(self.comfort_accel_mps2));
-        if guard.low() >= 0.0 { command } else { command.hull(emergency) }
+        let following = clamp(&self.acc_acceleration(sight, set_speed));
+        if guard.low() >= 0.0 { following } else { AffineForm::constant(following.range().hull(-brake.range())) }
     }
 
     /// Returns the command without the emergency brake.

@@ -6,6 +6,7 @@ mod refute;
 mod search;
 
 use std::path::Path;
+use std::sync::Arc;
 
 use crumple_verify::invariant::table::{Axis, HEIGHT_UNIT_M, HeightTable};
 use crumple_verify::invariant::{InvariantController, MotionModel, NetworkReference};
@@ -18,10 +19,13 @@ use super::reach::{InvalidBox, checker_file};
 use crumple_core::digest::sha256;
 use crumple_core::observer::Observer;
 use crumple_search::worst_case::build_certificate;
+use crumple_world::control::{Controller, Ego, PolicyDriver};
+use crumple_world::observation::Observation;
 use crumple_world::scenario::file::{self, FileError};
 use crumple_world::scenario::{Driver, Scenario};
 use crumple_world::sim::ControllerKind;
 pub use refute::Defeat;
+use search::BoundarySearch;
 
 /// Largest height of a boundary, in multiples of the region's largest gap.
 const HIGHEST_GAPS: f64 = 3.0;
@@ -204,7 +208,7 @@ impl InvariantPlan {
         if claim.response_per_step < 1.0 {
             return Err(InvalidBox::field("scenario", "must have no actuator lag, for which this search has no grid"));
         }
-        claim.with_closed_loop(bytes.as_deref(), |_| ()).map_err(map_rejection)?;
+        claim.check_model(bytes.as_deref()).map_err(map_rejection)?;
         let texts = [file::to_toml(scenario)?, toml::to_string(&spec)?];
         Ok(Self { scenario: scenario.clone(), controller, texts, bytes, claim })
     }
@@ -267,11 +271,9 @@ impl InvariantPlan {
             stopped = observer.notify(&InvariantProgress { own_mps, pass, failed });
             stopped.is_ok()
         };
-        let passes = claim
-            .with_closed_loop(self.bytes.as_deref(), |closed_loop| {
-                search::raise_boundary(closed_loop, &mut table, highest_m, &mut observe)
-            })
-            .map_err(map_rejection)?;
+        let Some(controller) = self.start(&claim) else { return Ok(None) };
+        let mut search = BoundarySearch { claim: &claim, controller, policy: self.bytes.as_deref(), highest_m };
+        let passes = search.raise_boundary(&mut table, &mut observe);
         stopped?;
         let Some(passes) = passes else { return Ok(None) };
         claim.heights = table.to_runs();
@@ -282,6 +284,29 @@ impl InvariantPlan {
         let statement = Statement::Invariant(Box::new(claim));
         let certificate = build_certificate(name, Some(scenario), Some(spec), statement);
         Ok(Some(InvariantSet { table, certificate, passes }))
+    }
+}
+
+impl InvariantPlan {
+    /// Starts the controller so that it decides at each call, with the largest set speed of the claim.
+    fn start(&self, claim: &InvariantClaim) -> Option<Box<dyn Controller>> {
+        let ego = Ego {
+            vehicle: 1,
+            max_brake_mps2: -claim.own_mps2[0],
+            max_accel_mps2: claim.own_mps2[1],
+            length_m: self.scenario.vehicles()[1].length_m(),
+            step_s: claim.step_s * f64::from(claim.decision_steps),
+        };
+        let mut controller = match &self.controller {
+            ControllerKind::Network(network) => network.start(&ego),
+            ControllerKind::Policy(policy) => Box::new(PolicyDriver::new(Arc::clone(policy), &ego)),
+            ControllerKind::BuiltIn(spec) => spec.start(&ego, 0),
+            _ => return None,
+        };
+        let speed_mps = claim.initial_own_mps_at_most + claim.observation_error[1];
+        let free = Observation { speed_mps, acceleration_mps2: 0.0, ahead: None, behind: None };
+        controller.decide(&free).ok()?;
+        Some(controller)
     }
 }
 
