@@ -187,8 +187,12 @@ impl HeightTable {
 
     /// Returns all cells, in the order of their nodes.
     pub fn cells(&self) -> impl Iterator<Item = [usize; AXIS_COUNT]> + use<> {
-        let [own, leader, acceleration] = self.axes.map(|axis| (axis.cells as usize).max(1));
-        (0..own).flat_map(move |i| (0..leader).flat_map(move |j| (0..acceleration).map(move |k| [i, j, k])))
+        indices(self.axes.map(|axis| (axis.cells as usize).max(1)))
+    }
+
+    /// Returns all nodes, in order.
+    pub fn nodes(&self) -> impl Iterator<Item = [usize; AXIS_COUNT]> + use<> {
+        indices(self.axes.map(Axis::node_count))
     }
 
     fn index(&self, [i, j, k]: [usize; AXIS_COUNT]) -> usize {
@@ -284,6 +288,10 @@ impl HeightTable {
             sum + (height * Interval::point(share)).over(Interval::point(of))
         })
     }
+}
+
+fn indices([own, leader, acceleration]: [usize; AXIS_COUNT]) -> impl Iterator<Item = [usize; AXIS_COUNT]> {
+    (0..own).flat_map(move |i| (0..leader).flat_map(move |j| (0..acceleration).map(move |k| [i, j, k])))
 }
 
 /// Returns all orders of some axes.

@@ -266,6 +266,7 @@ impl InvariantPlan {
         let start_m = ((lowest_m / HEIGHT_UNIT_M).floor() + 1.0) * HEIGHT_UNIT_M;
         let mut table = HeightTable::new(claim.axes, start_m).map_err(map_rejection)?;
         let highest_m = HIGHEST_GAPS * claim.region_gap_m;
+        raise_to_stopping_distance(&claim, &mut table);
         let mut stopped = Ok(());
         let mut observe = |pass: u32, failed: usize| {
             stopped = observer.notify(&InvariantProgress { own_mps, pass, failed });
@@ -307,6 +308,22 @@ impl InvariantPlan {
         let free = Observation { speed_mps, acceleration_mps2: 0.0, ahead: None, behind: None };
         controller.decide(&free).ok()?;
         Some(controller)
+    }
+}
+
+/// Raises a table to the gap without which no controller avoids a collision if both vehicles brake to standstill.
+fn raise_to_stopping_distance(claim: &InvariantClaim, table: &mut HeightTable) {
+    let [own, leader, _] = claim.axes;
+    let [own_brake_mps2, leader_brake_mps2] = [claim.own_mps2[0], claim.leader_mps2[0]].map(|limit| -limit);
+    let distance_m = |speed_mps: f64, brake_mps2: f64| speed_mps.max(0.0).powi(2) / (2.0 * brake_mps2.max(1e-9));
+    for cell in table.nodes() {
+        let [own_mps, leader_mps] = [own.node(cell[0]), leader.node(cell[1])];
+        let needed_m = match claim.motion {
+            MotionModel::Absolute => distance_m(own_mps, own_brake_mps2) - distance_m(leader_mps, leader_brake_mps2),
+            MotionModel::Relative if own_brake_mps2 <= leader_brake_mps2 => 0.0,
+            MotionModel::Relative => distance_m(own_mps, own_brake_mps2 - leader_brake_mps2),
+        };
+        table.raise(cell, needed_m);
     }
 }
 

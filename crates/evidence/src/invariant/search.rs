@@ -14,7 +14,7 @@ use crumple_world::observation::{Neighbour, Observation};
 /// Maximum number of passes over the table.
 const MAX_PASSES: u32 = 4000;
 /// Largest rise of a node at once, in metres, and number of attempts for a cell in a pass.
-const MAX_RISE_M: f64 = 0.5;
+const MAX_RISE_M: f64 = 0.02;
 const MAX_ATTEMPTS: u32 = 40;
 /// Layers above the boundary in which commands are bounded.
 const LAYERS: usize = 4;
@@ -171,10 +171,13 @@ impl BoundarySearch<'_> {
                 [state[axis] + low.min(0.0), state[axis] + high.max(0.0)]
             });
             let [low, high] = reached.fold([f64::INFINITY, f64::NEG_INFINITY], hull);
-            let last = (axes[axis].cells as usize).max(1) - 1;
-            let mut cells = (0..=last).filter(|&cell| axes[axis].node(cell + 1) > low && axes[axis].node(cell) < high);
-            let first = cells.next().unwrap_or(if low <= axes[axis].low { 0 } else { last });
-            [first, cells.last().unwrap_or(first)]
+            let Some(last) = axes[axis].cells.checked_sub(1) else { return [0, 0] };
+            let place = |value: f64| {
+                (value - axes[axis].low) / (axes[axis].high - axes[axis].low) * f64::from(axes[axis].cells)
+            };
+            // A cell that a motion only touches adds nothing.
+            let first = ((place(low) + 1e-9).max(0.0) as usize).min(last as usize);
+            [first, ((place(high) - 1e-9).max(0.0) as usize).clamp(first, last as usize)]
         });
         let extent: [[f64; 2]; AXIS_COUNT] = std::array::from_fn(|axis| {
             states.iter().map(|state| [state[axis]; 2]).fold([f64::INFINITY, f64::NEG_INFINITY], hull)
@@ -251,6 +254,7 @@ fn raise(table: &mut HeightTable, shortfall: &Shortfall, highest_m: f64) -> Opti
     let own_fails = shortfall.missing_m > leader_rise_m;
     let is_behind = |position: usize| (nodes[position][0] > shortfall.cell[0]) == (shortfall.change[0] < 0.0);
     let choices = (0..nodes.len()).filter(|&position| !own_fails || is_behind(position));
+    let nodes2 = nodes.clone();
     let upstream = choices.min_by(|&a, &b| coordinate(a).total_cmp(&coordinate(b))).unwrap_or(0);
     let gain = -coordinate(upstream);
     let rise_m = (shortfall.missing_m / gain).clamp(HEIGHT_UNIT_M, MAX_RISE_M);
@@ -258,6 +262,7 @@ fn raise(table: &mut HeightTable, shortfall: &Shortfall, highest_m: f64) -> Opti
     for &node in &raised {
         let height_m = table.node_height(node) + if rise_m.is_finite() { rise_m } else { MAX_RISE_M };
         if height_m > highest_m {
+            if std::env::var("DBG").is_ok() { eprintln!("too high {node:?} {:?}", nodes2.iter().map(|n| table.node_height(*n)).collect::<Vec<_>>()); }
             return None;
         }
         table.raise(node, height_m);
