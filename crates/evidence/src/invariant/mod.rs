@@ -99,6 +99,8 @@ pub struct InvariantSet {
     pub certificate: Certificate,
     /// Passes of the last attempt.
     pub passes: u32,
+    /// Share of the region above the gaps from which a simulated leader causes a collision: no set of this form has more.
+    pub simulated_share: f64,
 }
 
 impl InvariantSpec {
@@ -266,7 +268,6 @@ impl InvariantPlan {
         let start_m = ((lowest_m / HEIGHT_UNIT_M).floor() + 1.0) * HEIGHT_UNIT_M;
         let mut table = HeightTable::new(claim.axes, start_m).map_err(map_rejection)?;
         let highest_m = HIGHEST_GAPS * claim.region_gap_m;
-        raise_to_stopping_distance(&claim, &mut table);
         let mut stopped = Ok(());
         let mut observe = |pass: u32, failed: usize| {
             stopped = observer.notify(&InvariantProgress { own_mps, pass, failed });
@@ -274,6 +275,9 @@ impl InvariantPlan {
         };
         let Some(controller) = self.start(&claim) else { return Ok(None) };
         let mut search = BoundarySearch { claim: &claim, controller, policy: self.bytes.as_deref(), highest_m };
+        search.raise_to_simulation(&mut table);
+        let simulated_share = claim.share(&table).map_err(map_rejection)?;
+        if std::env::var("DBG").is_ok() { eprintln!("simulated {simulated_share}"); for v in [3.0, 5.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 34.0] { eprintln!("v {v}: {:?}", [0.0, 0.25, 0.5, 0.75, 0.9, 0.95, 1.0, 1.1].map(|f| table.height_at([v, f * v, 0.0]).map(|h| (h * 100.0).round() / 100.0))); } }
         let passes = search.raise_boundary(&mut table, &mut observe);
         stopped?;
         let Some(passes) = passes else { return Ok(None) };
@@ -284,7 +288,7 @@ impl InvariantPlan {
         let ([scenario, spec], name) = (self.texts.clone(), self.scenario.spec().name.clone());
         let statement = Statement::Invariant(Box::new(claim));
         let certificate = build_certificate(name, Some(scenario), Some(spec), statement);
-        Ok(Some(InvariantSet { table, certificate, passes }))
+        Ok(Some(InvariantSet { table, certificate, passes, simulated_share }))
     }
 }
 
@@ -308,22 +312,6 @@ impl InvariantPlan {
         let free = Observation { speed_mps, acceleration_mps2: 0.0, ahead: None, behind: None };
         controller.decide(&free).ok()?;
         Some(controller)
-    }
-}
-
-/// Raises a table to the gap without which no controller avoids a collision if both vehicles brake to standstill.
-fn raise_to_stopping_distance(claim: &InvariantClaim, table: &mut HeightTable) {
-    let [own, leader, _] = claim.axes;
-    let [own_brake_mps2, leader_brake_mps2] = [claim.own_mps2[0], claim.leader_mps2[0]].map(|limit| -limit);
-    let distance_m = |speed_mps: f64, brake_mps2: f64| speed_mps.max(0.0).powi(2) / (2.0 * brake_mps2.max(1e-9));
-    for cell in table.nodes() {
-        let [own_mps, leader_mps] = [own.node(cell[0]), leader.node(cell[1])];
-        let needed_m = match claim.motion {
-            MotionModel::Absolute => distance_m(own_mps, own_brake_mps2) - distance_m(leader_mps, leader_brake_mps2),
-            MotionModel::Relative if own_brake_mps2 <= leader_brake_mps2 => 0.0,
-            MotionModel::Relative => distance_m(own_mps, own_brake_mps2 - leader_brake_mps2),
-        };
-        table.raise(cell, needed_m);
     }
 }
 

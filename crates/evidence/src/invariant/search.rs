@@ -22,7 +22,14 @@ const LAYERS: usize = 4;
 const RESERVE_M: f64 = 1e-6;
 const RESERVE_GROWTH: f64 = 8.0;
 
+/// Times for which a simulated leader accelerates before it brakes, in seconds; resolution of simulated gaps, in metres.
+const ACCELERATES_S: [f64; 2] = [0.0, 1.0];
+const SIMULATED_WIDTH_M: f64 = 0.01;
+const MAX_SIMULATED_STEPS: u32 = 3000;
+
 type Node = [usize; AXIS_COUNT];
+/// A state and the height of the boundary there.
+type Point = ([f64; AXIS_COUNT], f64);
 
 /// A simplex of which a state leaves the set.
 struct Shortfall {
@@ -42,6 +49,57 @@ pub(super) struct BoundarySearch<'a> {
 }
 
 impl BoundarySearch<'_> {
+    /// Raises each node to the largest gap, by bisection, from which a leader defeats the controller in a simulation.
+    pub(super) fn raise_to_simulation(&mut self, table: &mut HeightTable) {
+        let axes = *table.axes();
+        for node in table.nodes() {
+            let state: [f64; AXIS_COUNT] = std::array::from_fn(|axis| axes[axis].node(node[axis]));
+            let [mut low_m, mut high_m] = [table.node_height(node), self.highest_m];
+            while high_m - low_m > SIMULATED_WIDTH_M {
+                let gap_m = 0.5 * (low_m + high_m);
+                if ACCELERATES_S.iter().any(|&time_s| self.collides(gap_m, state, time_s)) {
+                    low_m = gap_m;
+                } else {
+                    high_m = gap_m;
+                }
+            }
+            table.raise(node, low_m);
+        }
+    }
+
+    /// Simulates a leader that accelerates for a while and then brakes, as hard as it may.
+    fn collides(&mut self, mut gap_m: f64, state: [f64; AXIS_COUNT], accelerates_s: f64) -> bool {
+        let [mut own, mut leader, mut acceleration] = state;
+        let (claim, fastest) = (self.claim, self.claim.axes[1].high);
+        let [brakes, accelerates] = claim.leader_mps2;
+        let is_relative = claim.motion == MotionModel::Relative;
+        let mut command = 0.0;
+        for step in 0..MAX_SIMULATED_STEPS {
+            let leads = if f64::from(step) * claim.step_s < accelerates_s { accelerates } else { brakes };
+            if step % claim.decision_steps == 0 {
+                let [low, high] = self.commands(gap_m, &[own, leader, acceleration]);
+                command = (0.5 * (low + high)).clamp(claim.own_mps2[0], claim.own_mps2[1]);
+            }
+            acceleration += claim.response_per_step * (command - acceleration);
+            if is_relative {
+                let of_closing = acceleration - leads;
+                gap_m -= (own + 0.5 * of_closing * claim.step_s) * claim.step_s;
+                own += of_closing * claim.step_s;
+            } else {
+                let leads = leads.min((fastest - leader) / claim.step_s);
+                let [[own_m, own_end], [leader_m, leader_end]] =
+                    [advance(own, acceleration, claim.step_s), advance(leader, leads, claim.step_s)];
+                gap_m += leader_m - own_m;
+                (own, leader) = (own_end, leader_end);
+            }
+            let is_over = if is_relative { own <= 0.0 } else { own == 0.0 && leader == 0.0 };
+            if gap_m <= 0.0 || is_over {
+                return gap_m <= 0.0;
+            }
+        }
+        false
+    }
+
     /// Raises a table until the checker accepts it. Returns the number of passes; `None` if a height would exceed the
     /// limit, if `observe` returns false, or after too many passes.
     pub(super) fn raise_boundary(
@@ -90,36 +148,67 @@ impl BoundarySearch<'_> {
         None
     }
 
-    /// Returns the worst shortfall of a cell, if a state of it may leave the set.
+    /// Returns a shortfall of a cell, if a state of it may leave the set.
     fn shortfall(&mut self, table: &HeightTable, cell: Node, reserve_m: f64) -> Option<Shortfall> {
         let own_mps2 = self.claim.own_mps2;
         for order in table.orders() {
-            let nodes = table.simplex(cell, order);
-            let states: Vec<[f64; AXIS_COUNT]> =
-                nodes.iter().map(|node| std::array::from_fn(|axis| table.axes()[axis].node(node[axis]))).collect();
-            let layer_m = self.worst(table, &states, own_mps2, -reserve_m).missing_m;
-            if layer_m <= 0.0 {
-                continue;
-            }
-            let above_m = |layer: usize| layer_m * layer as f64 / LAYERS as f64;
-            let commands: Vec<[f64; 2]> = (0..=LAYERS)
-                .map(|layer| {
-                    let all = nodes.iter().zip(&states).map(|(&node, state)| {
-                        self.commands(table.node_height(node) + above_m(layer), state)
-                    });
-                    all.fold([f64::INFINITY, f64::NEG_INFINITY], hull)
-                })
-                .collect();
+            let state = |node: Node| std::array::from_fn(|axis| table.axes()[axis].node(node[axis]));
+            let points: Vec<Point> =
+                table.simplex(cell, order).into_iter().map(|node| (state(node), table.node_height(node))).collect();
+            let layer_m = self.worst(table, &points, own_mps2, -reserve_m).missing_m;
             for layer in 0..LAYERS {
-                let [low, high] = hull(commands[layer], commands[layer + 1]);
-                let range = [low, high].map(|command| command.clamp(own_mps2[0], own_mps2[1]));
-                let worst = self.worst(table, &states, range, above_m(layer) - reserve_m);
-                if worst.missing_m > 0.0 {
-                    return Some(worst);
+                let above_m = [layer, layer + 1].map(|layer| layer_m * layer as f64 / LAYERS as f64);
+                let depth = self.claim.splits as usize * order.len();
+                if layer_m > 0.0
+                    && let Some(shortfall) = self.shortfall_of(table, &points, above_m, reserve_m, depth)
+                {
+                    return Some(shortfall);
                 }
             }
         }
         None
+    }
+
+    /// Returns a shortfall of a part of a simplex and a layer above it. Bisects a part that fails.
+    fn shortfall_of(
+        &mut self,
+        table: &HeightTable,
+        points: &[Point],
+        above_m: [f64; 2],
+        reserve_m: f64,
+        depth: usize,
+    ) -> Option<Shortfall> {
+        let own_mps2 = self.claim.own_mps2;
+        let mut range = [f64::INFINITY, f64::NEG_INFINITY];
+        for (state, height_m) in points {
+            for above_m in above_m {
+                range = hull(range, self.commands(height_m + above_m, state));
+            }
+        }
+        let range = range.map(|command| command.clamp(own_mps2[0], own_mps2[1]));
+        let worst = self.worst(table, points, range, above_m[0] - reserve_m);
+        if worst.missing_m <= 0.0 {
+            return None;
+        }
+        if depth == 0 {
+            return Some(worst);
+        }
+        let length = |&(a, b): &(usize, usize)| {
+            let (a, b) = (points[a].0, points[b].0);
+            a.iter().zip(b).map(|(a, b)| (a - b).abs()).sum::<f64>()
+        };
+        let edges = (0..points.len()).flat_map(|b| (0..b).map(move |a| (a, b)));
+        let (a, b) = edges.max_by(|one, other| length(one).total_cmp(&length(other)))?;
+        let mean = |a: f64, b: f64| 0.5 * (a + b);
+        let middle = (
+            std::array::from_fn(|axis| mean(points[a].0[axis], points[b].0[axis])),
+            mean(points[a].1, points[b].1),
+        );
+        [a, b].into_iter().find_map(|replaced| {
+            let mut half = points.to_vec();
+            half[replaced] = middle;
+            self.shortfall_of(table, &half, above_m, reserve_m, depth - 1)
+        })
     }
 
     /// Returns the commands at a state, for the extreme accelerations that a network may observe.
@@ -142,7 +231,8 @@ impl BoundarySearch<'_> {
     }
 
     /// Returns the simplex and the motion for which states at least `above_m` above the boundary miss most height.
-    fn worst(&self, table: &HeightTable, states: &[[f64; AXIS_COUNT]], command: [f64; 2], above_m: f64) -> Shortfall {
+    fn worst(&self, table: &HeightTable, points: &[Point], command: [f64; 2], above_m: f64) -> Shortfall {
+        let states: Vec<[f64; AXIS_COUNT]> = points.iter().map(|(state, _)| *state).collect();
         let (claim, axes) = (self.claim, table.axes());
         let time_s = claim.step_s * f64::from(claim.decision_steps);
         let is_relative = claim.motion == MotionModel::Relative;
