@@ -8,12 +8,20 @@ use crumple_verify::invariant::MotionModel;
 use crumple_verify::{ProvedClaim, WorkLimit, check_with};
 use serde::Serialize;
 
+use super::import::render_figure;
 use super::output;
 use super::reach::write_certificate;
-use super::simulate::OutputFormat;
+use super::simulate::{OutputFormat, parse_path_ending_in};
 use super::{CliError, args, progress};
-use crumple_evidence::{Defeat, InvalidBox, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSpec};
+use crumple_evidence::{
+    Defeat, InvalidBox, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet, InvariantSpec,
+};
+use crumple_report::figures::draw_invariant_set;
+use crumple_store::disk::StagedFiles;
 use crumple_world::sim::NamedController;
+
+/// Own speeds of a picture.
+const PICTURE_LINES: u32 = 5;
 
 /// Prove from which states a controller never collides with the leader, for any duration
 #[derive(Args)]
@@ -44,6 +52,9 @@ pub(super) struct InvariantCommand {
     /// Largest gap of the region, in metres
     #[arg(long, value_name = "M", default_value_t = 100.0)]
     gap: f64,
+    /// Gap beyond which the claim ends, in metres, for controllers that drive only up to a gap; default: never
+    #[arg(long, value_name = "M")]
+    end_beyond_gap: Option<f64>,
     /// Own speeds of the region in m/s; with --plant relative, closing speeds
     #[arg(long, value_name = "A..B", default_value = "0..35", allow_hyphen_values = true, value_parser = parse_range)]
     speed: [f64; 2],
@@ -71,6 +82,9 @@ pub(super) struct InvariantCommand {
     /// File for the certificate; a policy or network goes next to it; replaces an existing file
     #[arg(long, value_name = "FILE")]
     certificate: Option<PathBuf>,
+    /// Picture of the smallest gaps against the closing speed, one line for each of five own speeds
+    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| parse_path_ending_in(path, ["svg", "png"]))]
+    plot: Option<PathBuf>,
     /// Output format
     #[arg(long, value_enum, default_value = "text")]
     format: OutputFormat,
@@ -107,6 +121,7 @@ impl InvariantCommand {
             leader_mps2: self.leader_accel,
             observation_error: [self.gap_error, self.speed_error, self.speed_error],
             region_gap_m: self.gap,
+            ends_beyond_gap_m: self.end_beyond_gap,
             region_own_mps: self.speed,
             region_leader_mps: match self.plant {
                 Plant::Absolute => self.leader_speed,
@@ -142,6 +157,12 @@ impl InvariantCommand {
         if let Some(path) = &self.certificate {
             write_certificate(path, &set.certificate, plan.policy_bytes().unwrap_or_default())?;
         }
+        if let Some(path) = &self.plot {
+            let mut files = StagedFiles::default();
+            let figure = draw_invariant_set(&self.picture_lines(&set), self.gap);
+            files.stage(&output::resolve_output_path(path)?, &render_figure(&figure, path)?)?;
+            files.commit()?;
+        }
         let defeat = plan.defeat(&set.table).map_err(failed)?;
         let ProvedClaim::Invariant { share, min_gap_m, own_speed_is_kept } = accepted else {
             return Err(CliError::Gate("the checker proved another claim".to_owned()));
@@ -152,12 +173,43 @@ impl InvariantCommand {
             certificate_sha256: set.certificate.digest(),
             accepted: true,
             share,
+            simulated_share: set.simulated_share,
             smallest_gap_m: min_gap_m,
             own_speed_is_kept,
             defeat: defeat.clone(),
         };
-        let words = || format!("{}\naccepted: {accepted}\n{}", set.certificate.scope(), defeat_line(defeat.as_ref()));
+        let words = || {
+            format!(
+                "{}\naccepted: {accepted}\nat most {:.2} % are possible: from the rest, a leader that brakes, at once or after \
+                 1 s, defeats the controller in a simulation\n{}",
+                set.certificate.scope(),
+                1e2 * set.simulated_share,
+                defeat_line(defeat.as_ref())
+            )
+        };
         output::print_result(self.format, &report, words)
+    }
+}
+
+impl InvariantCommand {
+    /// Returns the boundary against the closing speed, for some own speeds.
+    fn picture_lines(&self, set: &InvariantSet) -> Vec<(String, Vec<(f64, f64)>)> {
+        let [own, leader, _] = *set.table.axes();
+        let heights = |own_mps: f64, leader_mps: f64| set.table.height_at([own_mps, leader_mps, 0.0]);
+        if leader.cells == 0 {
+            let points = (0..own.node_count()).map(|index| own.node(index));
+            let points = points.filter_map(|speed| Some((speed, heights(speed, leader.low)?)));
+            return vec![("any speed".to_owned(), points.collect())];
+        }
+        let [low, high] = [self.speed[0], self.speed[1].min(own.high)];
+        let speeds = (1..=PICTURE_LINES).map(|place| low + (high - low) * f64::from(place) / f64::from(PICTURE_LINES));
+        speeds
+            .map(|own_mps| {
+                let speeds = (0..leader.node_count()).rev().map(|index| leader.node(index));
+                let points = speeds.filter_map(|speed| Some((own_mps - speed, heights(own_mps, speed)?)));
+                (format!("{own_mps:.1} m/s"), points.collect())
+            })
+            .collect()
     }
 }
 
@@ -180,6 +232,8 @@ struct InvariantReport<'a> {
     accepted: bool,
     /// Proved share of the region.
     share: f64,
+    /// Share of the region from which no simulated leader causes a collision.
+    simulated_share: f64,
     smallest_gap_m: f64,
     own_speed_is_kept: bool,
     /// State outside the set with a leader that defeats the controller.

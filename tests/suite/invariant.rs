@@ -29,6 +29,7 @@ fn spec(motion: MotionModel, own: [f64; 2], leader: [f64; 2]) -> InvariantSpec {
         leader_mps2: if motion == MotionModel::Absolute { [-7.5, 3.0] } else { [0.0; 2] },
         observation_error: [1e-9; 3],
         region_gap_m: 100.0,
+        ends_beyond_gap_m: None,
         region_own_mps: own,
         region_leader_mps: leader,
         controller: None,

@@ -264,12 +264,14 @@ fn invariant_scope(claim: &InvariantClaim) -> Scope {
         own.high, claim.initial_own_mps_at_most
     );
     let largest = claim.observation_error.iter().copied().fold(0.0, f64::max);
+    let ends = claim.ends_beyond_gap_m.map(|gap_m| format!("until a gap exceeds {gap_m} m"));
     let limits = vec![format!(
-        "a decision every {} steps of {} s; what is observed is off by {} at most (m, m/s)",
+        "a decision every {} steps of {} s; observations err by at most {} (m, m/s)",
         claim.decision_steps,
         claim.step_s,
         format_number(largest)
     )];
+    let limits = limits.into_iter().chain(ends).collect();
     let behind = Some("behind: not considered".to_owned());
     Scope { behind, ..partial_scope(Some(f64::INFINITY), vec![leader, own], limits) }
 }

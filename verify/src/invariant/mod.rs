@@ -32,7 +32,7 @@
 //! no state of S collides before the next decision, and the next state is in S: by induction, never.
 //!
 //! # Where the claim ends
-//! At a speed beyond the table. For the leader this is a limit, as its acceleration is. The check also proves for some
+//! At a gap beyond `ends_beyond_gap_m`, if that is stated, and at a speed beyond the table. For the leader this is a limit, as its acceleration is. The check also proves for some
 //! controllers that the own speed never exceeds the table (`own_speed_is_kept`). In the relative model, a closing speed
 //! below the table counts as that of the first node: the heights of all nodes that one decision can reach from there
 //! must be equal, and the gap then grows.
@@ -85,6 +85,9 @@ pub struct InvariantClaim {
     pub observation_error: [f64; 3],
     /// Region of which the set covers a share: the gap is from 0 to this, in metres.
     pub region_gap_m: f64,
+    /// Gap beyond which the claim ends, in metres; at least `region_gap_m`. Absent: the claim covers all gaps.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ends_beyond_gap_m: Option<f64>,
     /// Own speed in the region, in m/s; in the relative model the closing speed.
     pub region_own_mps: [f64; 2],
     /// Leader's speed in the region, in m/s; a single number in the relative model.
@@ -192,6 +195,9 @@ impl InvariantClaim {
         if !self.observation_error.iter().all(|error| *error >= 0.0 && error.is_finite()) {
             return Err(Rejection::invalid("observation_error", "is negative or infinite"));
         }
+        if !self.ends_beyond_gap_m.is_none_or(|gap_m| gap_m >= self.region_gap_m && gap_m.is_finite()) {
+            return Err(Rejection::invalid("ends_beyond_gap_m", "is below the gap of the region, or infinite"));
+        }
         if self.splits > MAX_SPLITS {
             return Err(Rejection::invalid("splits", "is too large"));
         }
@@ -221,6 +227,7 @@ impl InvariantClaim {
             leader_mps2,
             error: self.observation_error,
             splits: self.splits,
+            ends_beyond_gap_m: self.ends_beyond_gap_m.unwrap_or(f64::INFINITY),
             budget,
         })
     }

@@ -26,6 +26,7 @@ pub(super) struct ClosedLoop<'a> {
     /// Largest errors of the observed gap, own and leader's speed.
     pub(super) error: [f64; 3],
     pub(super) splits: u32,
+    pub(super) ends_beyond_gap_m: f64,
     pub(super) budget: &'a OpBudget,
 }
 
@@ -78,6 +79,9 @@ impl ClosedLoop<'_> {
             return Err(f64::INFINITY);
         }
         let (gap, [own, leader, _]) = part.forms(table);
+        if gap.range().low() > self.ends_beyond_gap_m {
+            return Ok(());
+        }
         let mut observed = [gap, own, leader];
         observed.iter_mut().zip(self.error).for_each(|(form, error)| form.widen(error));
         let command = self.command.range(&observed, self.own_mps2, self.budget);

@@ -50,6 +50,9 @@ pub struct InvariantSpec {
     pub observation_error: [f64; 3],
     /// Largest gap of the region, in metres.
     pub region_gap_m: f64,
+    /// Gap beyond which the claim ends, in metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ends_beyond_gap_m: Option<f64>,
     /// Own speeds of the region, in m/s; closing speeds in the relative model.
     pub region_own_mps: [f64; 2],
     /// Leader's speeds of the region, in m/s.
@@ -175,6 +178,7 @@ impl InvariantSpec {
             leader_mps2: self.leader_mps2,
             observation_error: self.observation_error,
             region_gap_m: self.region_gap_m,
+            ends_beyond_gap_m: self.ends_beyond_gap_m,
             region_own_mps: self.region_own_mps,
             region_leader_mps: self.region_leader_mps,
             initial_own_mps_at_most: 0.0,
@@ -267,7 +271,7 @@ impl InvariantPlan {
         let lowest_m = claim.floor_m().max(options.smallest_gap_m);
         let start_m = ((lowest_m / HEIGHT_UNIT_M).floor() + 1.0) * HEIGHT_UNIT_M;
         let mut table = HeightTable::new(claim.axes, start_m).map_err(map_rejection)?;
-        let highest_m = HIGHEST_GAPS * claim.region_gap_m;
+        let highest_m = claim.ends_beyond_gap_m.unwrap_or(HIGHEST_GAPS * claim.region_gap_m);
         let mut stopped = Ok(());
         let mut observe = |pass: u32, failed: usize| {
             stopped = observer.notify(&InvariantProgress { own_mps, pass, failed });
@@ -277,7 +281,6 @@ impl InvariantPlan {
         let mut search = BoundarySearch { claim: &claim, controller, policy: self.bytes.as_deref(), highest_m };
         search.raise_to_simulation(&mut table);
         let simulated_share = claim.share(&table).map_err(map_rejection)?;
-        if std::env::var("DBG").is_ok() { eprintln!("simulated {simulated_share}"); for v in [3.0, 5.0, 8.0, 10.0, 12.0, 15.0, 20.0, 30.0, 34.0] { eprintln!("v {v}: {:?}", [0.0, 0.25, 0.5, 0.75, 0.9, 0.95, 1.0, 1.1].map(|f| table.height_at([v, f * v, 0.0]).map(|h| (h * 100.0).round() / 100.0))); } }
         let passes = search.raise_boundary(&mut table, &mut observe);
         stopped?;
         let Some(passes) = passes else { return Ok(None) };

@@ -93,6 +93,7 @@ impl BoundarySearch<'_> {
                 (own, leader) = (own_end, leader_end);
             }
             let is_over = if is_relative { own <= 0.0 } else { own == 0.0 && leader == 0.0 };
+            let is_over = is_over || claim.ends_beyond_gap_m.is_some_and(|limit_m| gap_m > limit_m);
             if gap_m <= 0.0 || is_over {
                 return gap_m <= 0.0;
             }
@@ -125,7 +126,8 @@ impl BoundarySearch<'_> {
                         is_due[index(cell)] = true;
                         break;
                     }
-                    for node in raise(table, &shortfall, self.highest_m)? {
+                    let limit_m = self.claim.ends_beyond_gap_m;
+                    for node in raise(table, &shortfall, self.highest_m, limit_m)? {
                         mark_near(node, &shortfall, cell, counts, |near| is_due[index(near)] = true);
                     }
                 }
@@ -138,7 +140,6 @@ impl BoundarySearch<'_> {
                 if rejected.is_empty() {
                     return Some(pass + 1);
                 }
-                if std::env::var("DBG").is_ok() { for &c in rejected.iter().take(6) { let cell = cells[c]; eprintln!("rejected {} {cell:?} v {} w {} {:?} margin {}", rejected.len(), table.axes()[0].node(cell[0]), table.axes()[1].node(cell[1]), [[0,0,0],[1,0,0],[0,1,0],[1,1,0]].map(|d: [usize;3]| table.node_height([cell[0]+d[0],cell[1]+d[1],0])), reserves_m[c]); } }
                 for cell in rejected {
                     reserves_m[cell] *= RESERVE_GROWTH;
                     is_due[cell] = true;
@@ -179,6 +180,10 @@ impl BoundarySearch<'_> {
         depth: usize,
     ) -> Option<Shortfall> {
         let own_mps2 = self.claim.own_mps2;
+        let limit_m = self.claim.ends_beyond_gap_m.unwrap_or(f64::INFINITY);
+        if points.iter().all(|(_, height_m)| height_m + above_m[0] > limit_m) {
+            return None;
+        }
         let mut range = [f64::INFINITY, f64::NEG_INFINITY];
         for (state, height_m) in points {
             for above_m in above_m {
@@ -200,10 +205,8 @@ impl BoundarySearch<'_> {
         let edges = (0..points.len()).flat_map(|b| (0..b).map(move |a| (a, b)));
         let (a, b) = edges.max_by(|one, other| length(one).total_cmp(&length(other)))?;
         let mean = |a: f64, b: f64| 0.5 * (a + b);
-        let middle = (
-            std::array::from_fn(|axis| mean(points[a].0[axis], points[b].0[axis])),
-            mean(points[a].1, points[b].1),
-        );
+        let middle =
+            (std::array::from_fn(|axis| mean(points[a].0[axis], points[b].0[axis])), mean(points[a].1, points[b].1));
         [a, b].into_iter().find_map(|replaced| {
             let mut half = points.to_vec();
             half[replaced] = middle;
@@ -274,8 +277,8 @@ impl BoundarySearch<'_> {
         });
         let mut worst = Shortfall { missing_m: f64::NEG_INFINITY, cell: [0; 3], order: 0, change: [0.0; 3] };
         for i in touched[0][0]..=touched[0][1] {
-            for (j, k) in (touched[1][0]..=touched[1][1])
-                .flat_map(|j| (touched[2][0]..=touched[2][1]).map(move |k| (j, k)))
+            for (j, k) in
+                (touched[1][0]..=touched[1][1]).flat_map(|j| (touched[2][0]..=touched[2][1]).map(move |k| (j, k)))
             {
                 let cell = [i, j, k];
                 for (order, of_order) in table.orders().iter().enumerate() {
@@ -326,7 +329,7 @@ fn advance(speed: f64, acceleration: f64, time_s: f64) -> [f64; 2] {
 }
 
 /// Raises the node of a simplex from which the motion leads away most. Returns it; `None` above the height limit.
-fn raise(table: &mut HeightTable, shortfall: &Shortfall, highest_m: f64) -> Option<Vec<Node>> {
+fn raise(table: &mut HeightTable, shortfall: &Shortfall, highest_m: f64, limit_m: Option<f64>) -> Option<Vec<Node>> {
     let order = table.orders()[shortfall.order].clone();
     let nodes = table.simplex(shortfall.cell, &order);
     // Barycentric coordinates of the change.
@@ -344,15 +347,13 @@ fn raise(table: &mut HeightTable, shortfall: &Shortfall, highest_m: f64) -> Opti
     let own_fails = shortfall.missing_m > leader_rise_m;
     let is_behind = |position: usize| (nodes[position][0] > shortfall.cell[0]) == (shortfall.change[0] < 0.0);
     let choices = (0..nodes.len()).filter(|&position| !own_fails || is_behind(position));
-    let nodes2 = nodes.clone();
     let upstream = choices.min_by(|&a, &b| coordinate(a).total_cmp(&coordinate(b))).unwrap_or(0);
     let gain = -coordinate(upstream);
     let rise_m = (shortfall.missing_m / gain).clamp(HEIGHT_UNIT_M, MAX_RISE_M);
     let raised = if gain > 1e-9 { vec![nodes[upstream]] } else { nodes };
     for &node in &raised {
         let height_m = table.node_height(node) + if rise_m.is_finite() { rise_m } else { MAX_RISE_M };
-        if height_m > highest_m {
-            if std::env::var("DBG").is_ok() { eprintln!("too high {node:?} {:?}", nodes2.iter().map(|n| table.node_height(*n)).collect::<Vec<_>>()); }
+        if height_m > highest_m && limit_m.is_none() {
             return None;
         }
         table.raise(node, height_m);
