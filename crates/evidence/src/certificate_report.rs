@@ -346,6 +346,9 @@ fn report_line<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>
         Ok(ProvedClaim::Reach { min_gap_m, verified_share, .. }) => {
             (line.smallest_gap_m, line.verified_share) = (finite(min_gap_m), Some(verified_share));
         }
+        Ok(ProvedClaim::Invariant { share, min_gap_m, .. }) => {
+            (line.smallest_gap_m, line.verified_share) = (finite(min_gap_m), Some(share));
+        }
         _ => {}
     }
     line
