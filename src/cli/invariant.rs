@@ -48,7 +48,7 @@ pub(super) struct InvariantCommand {
     scenario: String,
     /// Model of motion
     #[arg(long, value_enum, default_value = "absolute")]
-    plant: Plant,
+    plant: InvariantPlant,
     /// Largest gap of the region, in metres
     #[arg(long, value_name = "M", default_value_t = 100.0)]
     gap: f64,
@@ -91,7 +91,7 @@ pub(super) struct InvariantCommand {
 }
 
 #[derive(Debug, Clone, Copy, ValueEnum)]
-enum Plant {
+enum InvariantPlant {
     /// Own and leader's speed; no vehicle reverses
     Absolute,
     /// Gap and closing speed alone, without standstill
@@ -115,8 +115,8 @@ impl InvariantCommand {
             version: 1,
             scenario: scenario.spec().name.clone(),
             motion: match self.plant {
-                Plant::Absolute => MotionModel::Absolute,
-                Plant::Relative => MotionModel::Relative,
+                InvariantPlant::Absolute => MotionModel::Absolute,
+                InvariantPlant::Relative => MotionModel::Relative,
             },
             leader_mps2: self.leader_accel,
             observation_error: [self.gap_error, self.speed_error, self.speed_error],
@@ -124,8 +124,8 @@ impl InvariantCommand {
             ends_beyond_gap_m: self.end_beyond_gap,
             region_own_mps: self.speed,
             region_leader_mps: match self.plant {
-                Plant::Absolute => self.leader_speed,
-                Plant::Relative => [0.0; 2],
+                InvariantPlant::Absolute => self.leader_speed,
+                InvariantPlant::Relative => [0.0; 2],
             },
             controller: None,
         };

@@ -95,8 +95,8 @@ pub enum Assumption {
     ExpWithin,
     /// The network file has the meaning of its source file and controller file.
     NetworkAsRead,
-    /// The leader's acceleration and speed stay within the stated limits, and the own speed within the stated range. The
-    /// claim ends if they leave.
+    /// The leader's acceleration and speed stay within the stated limits, and the own speed within the stated range.
+    /// The claim ends if they leave.
     SpeedsWithin,
     /// Runs are independent samples, and the registration was made before the first of them.
     RegisteredDraws,

@@ -32,8 +32,8 @@
 //! no state of S collides before the next decision, and the next state is in S: by induction, never.
 //!
 //! # Where the claim ends
-//! At a gap beyond `ends_beyond_gap_m`, if that is stated, and at a speed beyond the table. For the leader this is a limit, as its acceleration is. The check also proves for some
-//! controllers that the own speed never exceeds the table (`own_speed_is_kept`). In the relative model, a closing speed
+//! At a gap beyond `ends_beyond_gap_m`, if that is stated, and at a speed beyond the table. For the leader this is a
+//! limit, as its acceleration is. The check also proves for some controllers that the own speed never exceeds the table (`own_speed_is_kept`). In the relative model, a closing speed
 //! below the table counts as that of the first node: the heights of all nodes that one decision can reach from there
 //! must be equal, and the gap then grows.
 //!
@@ -56,7 +56,7 @@ use crate::work::{OpBudget, WorkLimit};
 use crate::{ProvedClaim, Rejection};
 use command::CommandModel;
 use step::ClosedLoop;
-use table::{AXIS_COUNT, Axis, HeightTable, MAX_NODES};
+use table::{AXIS_COUNT, HeightTable, MAX_NODES, TableAxis};
 
 const MAX_SPLITS: u32 = 4;
 const MAX_DECISION_STEPS: u32 = 10_000;
@@ -95,7 +95,7 @@ pub struct InvariantClaim {
     /// Largest initial own speed of the claim, in m/s. The set speed of `acc-aeb` is at most this.
     pub initial_own_mps_at_most: f64,
     /// Own speed, leader's speed and own acceleration of the nodes.
-    pub axes: [Axis; AXIS_COUNT],
+    pub axes: [TableAxis; AXIS_COUNT],
     /// Number of times that the check may divide a cell.
     pub splits: u32,
     /// Boundary: see [`HeightTable::to_runs`].
@@ -240,7 +240,7 @@ impl InvariantClaim {
         let wrong = |problem| Err(Rejection::invalid("axes", problem));
         let [own, leader, acceleration] = self.axes;
         let is_immediate = self.response_per_step == 1.0;
-        if is_immediate && acceleration != Axis::point(0.0) {
+        if is_immediate && acceleration != TableAxis::point(0.0) {
             return wrong("must have the own acceleration 0 without lag");
         }
         if !is_immediate && (acceleration.low > self.own_mps2[0] || acceleration.high < self.own_mps2[1]) {
@@ -248,7 +248,7 @@ impl InvariantClaim {
         }
         match self.motion {
             MotionModel::Absolute if own.low != 0.0 || leader.low != 0.0 => wrong("must begin at speed 0"),
-            MotionModel::Relative if leader != Axis::point(0.0) || !is_immediate => {
+            MotionModel::Relative if leader != TableAxis::point(0.0) || !is_immediate => {
                 wrong("must have the leader's speed 0, and no lag, in the relative model")
             }
             MotionModel::Relative => {
@@ -284,7 +284,7 @@ impl InvariantClaim {
         let Some(at_rest) = (0..acceleration.node_count()).find(|&index| acceleration.node(index) == 0.0) else {
             return Err(Rejection::invalid("axes", "must have a node at own acceleration 0"));
         };
-        let inside = |axis: Axis, index: usize, [low, high]: [f64; 2]| {
+        let inside = |axis: TableAxis, index: usize, [low, high]: [f64; 2]| {
             let range = axis.cell(index);
             (range.low() >= low && range.high() <= high).then(|| point(range.high()) - point(range.low()))
         };
@@ -333,7 +333,8 @@ pub(crate) fn check(claim: &InvariantClaim, policy: Option<&[u8]>, work: &OpBudg
     Ok(ProvedClaim::Invariant { share, min_gap_m, own_speed_is_kept })
 }
 
-/// Returns failing cells in order, as index and missing height in metres, at most `limit` per thread; runs on all cores.
+/// Returns failing cells in order, as index and missing height in metres, at most `limit` per thread.
+/// Runs on all cores.
 fn failing_cells(closed_loop: &ClosedLoop<'_>, table: &HeightTable, limit: usize) -> Vec<(usize, f64)> {
     let cells: Vec<_> = table.cells().enumerate().collect();
     let threads = std::thread::available_parallelism().map_or(1, usize::from);

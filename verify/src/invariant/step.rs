@@ -1,7 +1,7 @@
 //! The condition on one part of one cell, and its proof: see [`invariant`](super).
 
 use super::command::CommandModel;
-use super::table::{AXIS_COUNT, Axis, HeightTable};
+use super::table::{AXIS_COUNT, HeightTable, TableAxis};
 use super::{InvariantClaim, MotionModel};
 use crate::interval::Interval;
 use crate::motion::distance_and_speed_after;
@@ -131,7 +131,7 @@ impl ClosedLoop<'_> {
         }) {
             let mut from = *ranges;
             let mut of_state = of_state;
-            let is_touched = |(axis, &Axis { cells, .. }): (usize, &Axis)| {
+            let is_touched = |(axis, &TableAxis { cells, .. }): (usize, &TableAxis)| {
                 let whole = [from.of_axis[axis], of_state[axis]];
                 let reach = touch(whole[0], whole[1], table.axes()[axis].cell(cell[axis]));
                 let reach = if cells == 0 { Some(whole) } else { reach };

@@ -1,8 +1,8 @@
 //! The boundary of an invariant set: a height over a grid of speeds, linear on each simplex.
 //!
-//! The nodes of an [`Axis`] divide its range into cells. Each cell of the grid is divided into simplices, one for each
-//! order of the axes (Kuhn): from its lowest corner a simplex steps along the first axis of the order, then along the
-//! second, and so on. The slope of a simplex along an axis is therefore that of one edge of the cell. Heights are whole
+//! The nodes of a [`TableAxis`] divide its range into cells. Each cell of the grid is divided into simplices, one for
+//! each order of the axes (Kuhn): from its lowest corner a simplex steps along the first axis of the order, then along
+//! the second, and so on. The slope of a simplex along an axis is therefore that of one edge of the cell. Heights are whole
 //! multiples of 2⁻¹⁰ m, so that they and their differences are exact in double precision.
 
 use serde::{Deserialize, Serialize};
@@ -24,7 +24,7 @@ const MAX_HEIGHT: i64 = 1 << 24;
 /// A range that nodes divide into cells; without cells it is a single number.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
-pub struct Axis {
+pub struct TableAxis {
     /// First node.
     pub low: f64,
     /// Last node.
@@ -33,7 +33,7 @@ pub struct Axis {
     pub cells: u32,
 }
 
-impl Axis {
+impl TableAxis {
     /// Creates an axis of a single number.
     #[must_use]
     pub fn point(value: f64) -> Self {
@@ -101,7 +101,7 @@ impl Axis {
 /// The heights of all nodes; the last axis varies fastest.
 #[derive(Debug, Clone, PartialEq)]
 pub struct HeightTable {
-    axes: [Axis; AXIS_COUNT],
+    axes: [TableAxis; AXIS_COUNT],
     /// In metres.
     heights: Vec<f64>,
     /// 1 / width of each cell of each axis.
@@ -115,7 +115,7 @@ impl HeightTable {
     ///
     /// # Errors
     /// [`Rejection`] if an axis is invalid or there are too many nodes.
-    pub fn new(axes: [Axis; AXIS_COUNT], height_m: f64) -> Result<Self, Rejection> {
+    pub fn new(axes: [TableAxis; AXIS_COUNT], height_m: f64) -> Result<Self, Rejection> {
         if !axes.iter().all(|axis| axis.is_valid()) {
             return Err(Rejection::invalid("table", "has an axis whose nodes do not increase, or with too many cells"));
         }
@@ -123,7 +123,7 @@ impl HeightTable {
         if nodes > MAX_NODES {
             return Err(Rejection::invalid("table", "has too many nodes"));
         }
-        let inverse = |axis: Axis| {
+        let inverse = |axis: TableAxis| {
             let width = |index| Interval::point(axis.node(index + 1)) - Interval::point(axis.node(index));
             (0..axis.cells as usize).map(|index| Interval::ONE.over(width(index))).collect()
         };
@@ -135,7 +135,7 @@ impl HeightTable {
     ///
     /// # Errors
     /// [`Rejection`] if the runs are not those of a table with these axes.
-    pub fn from_runs(axes: [Axis; AXIS_COUNT], runs: &[ConstantPiece<i64>]) -> Result<Self, Rejection> {
+    pub fn from_runs(axes: [TableAxis; AXIS_COUNT], runs: &[ConstantPiece<i64>]) -> Result<Self, Rejection> {
         let wrong = |problem| Err(Rejection::invalid("table.heights", problem));
         let mut table = Self::new(axes, 0.0)?;
         let (mut height, mut filled) = (0_i64, 0_usize);
@@ -175,7 +175,7 @@ impl HeightTable {
 
     /// Returns the axes.
     #[must_use]
-    pub fn axes(&self) -> &[Axis; AXIS_COUNT] {
+    pub fn axes(&self) -> &[TableAxis; AXIS_COUNT] {
         &self.axes
     }
 
@@ -192,7 +192,7 @@ impl HeightTable {
 
     /// Returns all nodes, in order.
     pub fn nodes(&self) -> impl Iterator<Item = [usize; AXIS_COUNT]> + use<> {
-        indices(self.axes.map(Axis::node_count))
+        indices(self.axes.map(TableAxis::node_count))
     }
 
     fn index(&self, [i, j, k]: [usize; AXIS_COUNT]) -> usize {

@@ -8,7 +8,7 @@ mod search;
 use std::path::Path;
 use std::sync::Arc;
 
-use crumple_verify::invariant::table::{Axis, HEIGHT_UNIT_M, HeightTable};
+use crumple_verify::invariant::table::{HEIGHT_UNIT_M, HeightTable, TableAxis};
 use crumple_verify::invariant::{InvariantController, MotionModel, NetworkReference};
 use crumple_verify::reach::{NeuralController, controller_file_name};
 use crumple_verify::{Certificate, InvariantClaim, Rejection, Statement};
@@ -182,7 +182,7 @@ impl InvariantSpec {
             region_own_mps: self.region_own_mps,
             region_leader_mps: self.region_leader_mps,
             initial_own_mps_at_most: 0.0,
-            axes: [Axis::point(0.0); 3],
+            axes: [TableAxis::point(0.0); 3],
             splits: 0,
             heights: Vec::new(),
             share_at_least: 0.0,
@@ -258,16 +258,17 @@ impl InvariantPlan {
         let [low, high] = claim.region_own_mps;
         let cells = (f64::from(options.cells) * (own_mps - low) / (high - low)).ceil().max(4.0) as u32;
         let rows = cells + EXTRA_ROWS;
-        let mut own = Axis { low, high: low + (own_mps - low) * (f64::from(rows) / f64::from(cells)), cells: rows };
+        let mut own =
+            TableAxis { low, high: low + (own_mps - low) * (f64::from(rows) / f64::from(cells)), cells: rows };
         while own.node(cells as usize) > own_mps {
             own.high = own.high.next_down();
         }
         claim.initial_own_mps_at_most = own.node(cells as usize);
         let leader = match claim.motion {
-            MotionModel::Absolute => Axis { low: 0.0, high: claim.region_leader_mps[1], cells: options.cells },
-            MotionModel::Relative => Axis::point(0.0),
+            MotionModel::Absolute => TableAxis { low: 0.0, high: claim.region_leader_mps[1], cells: options.cells },
+            MotionModel::Relative => TableAxis::point(0.0),
         };
-        claim.axes = [own, leader, Axis::point(0.0)];
+        claim.axes = [own, leader, TableAxis::point(0.0)];
         let lowest_m = claim.floor_m().max(options.smallest_gap_m);
         let start_m = ((lowest_m / HEIGHT_UNIT_M).floor() + 1.0) * HEIGHT_UNIT_M;
         let mut table = HeightTable::new(claim.axes, start_m).map_err(map_rejection)?;

@@ -117,7 +117,8 @@ proptest! {
         let forms: Vec<_> = ends.iter().enumerate().map(|(i, &[low, high])| symbol_form(i, low, high)).collect();
         let seen = law_input(forms[0].clone(), forms[1].clone(), &forms[2]);
         let found = behind.acceleration(&seen);
-        let form = clamp_to_limits(&IDM.desired_acceleration(&seen, &behind.brake), &behind.brake, IDM.max_accel_mps2).range();
+        let wanted = IDM.desired_acceleration(&seen, &behind.brake);
+        let form = clamp_to_limits(&wanted, &behind.brake, IDM.max_accel_mps2).range();
         let plain = plain_of(&IDM, &seen).max(Interval::point(-8.0)).min(Interval::point(3.0));
         let width = |range: Interval| range.high() - range.low();
         let narrower = width(form).min(width(plain));
