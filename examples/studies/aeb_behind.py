@@ -146,8 +146,8 @@ def print_group(key, controllers, passing, rate):
     for name, one in controllers.items():
         active = [percent(count, one.activations) for count in (one.avoided_active, one.caused_active)]
         hourly = [percent(count, one.drives, 1000 * rate) for count in (one.avoided, one.caused)]
-        print(f"| {name} | {one.activations} | {' | '.join(active)} | {one.harm_saved_active:.2f} | {' | '.join(hourly)} "
-              f"| {rate * one.harm_saved:.2f} ± {rate * one.harm_saved_error:.2f} |")
+        print(f"| {name} | {one.activations} | {' | '.join(active)} | {one.harm_saved_active:.2f} "
+              f"| {' | '.join(hourly)} | {rate * one.harm_saved:.2f} ± {rate * one.harm_saved_error:.2f} |")
 
 
 def front(points):

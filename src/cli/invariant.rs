@@ -180,8 +180,8 @@ impl InvariantCommand {
         };
         let words = || {
             format!(
-                "{}\naccepted: {accepted}\nat most {:.2} % are possible: from the rest, a leader that brakes, at once or after \
-                 1 s, defeats the controller in a simulation\n{}",
+                "{}\naccepted: {accepted}\nat most {:.2} % are possible: from the rest, a leader that brakes, at once \
+                 or after 1 s, defeats the controller in a simulation\n{}",
                 set.certificate.scope(),
                 1e2 * set.simulated_share,
                 defeat_line(defeat.as_ref())

@@ -33,9 +33,9 @@
 //!
 //! # Where the claim ends
 //! At a gap beyond `ends_beyond_gap_m`, if that is stated, and at a speed beyond the table. For the leader this is a
-//! limit, as its acceleration is. The check also proves for some controllers that the own speed never exceeds the table (`own_speed_is_kept`). In the relative model, a closing speed
-//! below the table counts as that of the first node: the heights of all nodes that one decision can reach from there
-//! must be equal, and the gap then grows.
+//! limit, as its acceleration is. The check also proves for some controllers that the own speed never exceeds the
+//! table (`own_speed_is_kept`). In the relative model, a closing speed below the table counts as that of the first
+//! node: the heights of all nodes that one decision can reach from there must be equal, and the gap then grows.
 //!
 //! # Rounding
 //! All operations are those of [`interval`](crate::interval); nodes are double-precision numbers and heights exact. The

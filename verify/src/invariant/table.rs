@@ -2,8 +2,8 @@
 //!
 //! The nodes of a [`TableAxis`] divide its range into cells. Each cell of the grid is divided into simplices, one for
 //! each order of the axes (Kuhn): from its lowest corner a simplex steps along the first axis of the order, then along
-//! the second, and so on. The slope of a simplex along an axis is therefore that of one edge of the cell. Heights are whole
-//! multiples of 2⁻¹⁰ m, so that they and their differences are exact in double precision.
+//! the second, and so on. The slope of a simplex along an axis is therefore that of one edge of the cell. Heights are
+//! whole multiples of 2⁻¹⁰ m, so that they and their differences are exact in double precision.
 
 use serde::{Deserialize, Serialize};
 

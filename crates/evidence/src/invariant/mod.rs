@@ -102,7 +102,8 @@ pub struct InvariantSet {
     pub certificate: Certificate,
     /// Passes of the last attempt.
     pub passes: u32,
-    /// Share of the region above the gaps from which a simulated leader causes a collision: no set of this form has more.
+    /// Share of the region above the gaps from which a simulated leader causes a collision. No set of this form has
+    /// more.
     pub simulated_share: f64,
 }
 

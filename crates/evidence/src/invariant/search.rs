@@ -22,8 +22,9 @@ const LAYERS: usize = 4;
 const RESERVE_M: f64 = 1e-6;
 const RESERVE_GROWTH: f64 = 8.0;
 
-/// Times for which a simulated leader accelerates before it brakes, in seconds; resolution of simulated gaps, in metres.
+/// Times for which a simulated leader accelerates before it brakes, in seconds.
 const ACCELERATES_S: [f64; 2] = [0.0, 1.0];
+/// Resolution of simulated gaps, in metres.
 const SIMULATED_WIDTH_M: f64 = 0.01;
 const MAX_SIMULATED_STEPS: u32 = 3000;
 
