@@ -249,8 +249,9 @@ fn where_a_pilot_is_led_astray_a_larger_one_is_not() {
         again += usize::from(!first.reaches_failure());
         let pilot = SplittingLevels::run_pilots(&problem, effort, seed, &counter()).unwrap();
         let estimate = pilot.estimate(&problem, &counter()).unwrap();
-        assert_eq!(estimate.independent_runs, 1100);
-        found.push(estimate.probability.unwrap() / truth);
+        // If no pilot reaches a failure, the runs of the three pilots are all.
+        assert_eq!(estimate.independent_runs, if estimate.probability.is_some() { 1100 } else { 700 });
+        found.push(estimate.probability.unwrap_or(0.0) / truth);
     }
     let mean = found.iter().sum::<f64>() / found.len() as f64;
     println!("{again} went on, mean {mean:.3}");
