@@ -9,12 +9,14 @@ use crumple::search::falsify::UnitCube;
 /// Maximum number of evaluations of a search.
 const BUDGET: usize = 1500;
 
+/// Returns the value that the search receives, and whether the point counts as counterexample.
+type Evaluate<'a> = dyn Fn(&[f64]) -> Result<(f64, bool), ExperimentError> + Sync + 'a;
+
 /// A problem of a benchmark.
 pub(crate) struct Problem<'a> {
     pub(crate) name: String,
     pub(crate) cube: UnitCube,
-    /// Returns the value that the search receives, and whether the point counts as counterexample.
-    pub(crate) evaluate: Box<dyn Fn(&[f64]) -> Result<(f64, bool), ExperimentError> + Sync + 'a>,
+    pub(crate) evaluate: Box<Evaluate<'a>>,
 }
 
 impl Problem<'_> {

@@ -312,7 +312,7 @@ pub(crate) fn check(claim: &InvariantClaim, policy: Option<&[u8]>, work: &OpBudg
     claim.check_axes(&table)?;
     let [lowest_m, _] = table.extremes();
     let min_gap_m = (Interval::point(lowest_m) - Interval::point(claim.floor_m())).low();
-    if !(min_gap_m > 0.0) {
+    if min_gap_m.is_nan() || min_gap_m <= 0.0 {
         return Err(Rejection::invalid("heights", "are too small to exclude a collision between decisions"));
     }
     let failed = failing_cells(&closed_loop, &table, 1);
@@ -326,7 +326,7 @@ pub(crate) fn check(claim: &InvariantClaim, policy: Option<&[u8]>, work: &OpBudg
     for (field, stated, proved) in
         [("share_at_least", claim.share_at_least, share), ("min_gap_m_at_least", claim.min_gap_m_at_least, min_gap_m)]
     {
-        if !(stated <= proved) {
+        if stated.is_nan() || proved.is_nan() || stated > proved {
             return Err(Rejection::invalid(field, "exceeds the proved value"));
         }
     }
