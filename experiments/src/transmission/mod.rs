@@ -112,7 +112,7 @@ mod tests {
         // problems/arch-comp-2021/at/README.md of github.com/mshaheryarmalik/stgem states the largest speed and
         // engine speed at full throttle.
         let full = |_| [MAX_THROTTLE, 0.0];
-        for (name, expected) in [("AT1", 120.0 - 120.213_271_492_615), ("AT2", 4750.0 - 4768.277_187_862_124)] {
+        for (name, expected) in [("AT1", 120.0 - 120.213_271_492_615), ("AT2", 4750.0 - 4_768.277_187_862_124)] {
             let found = robustness_with(name, full);
             assert!((found - expected).abs() < 1e-9, "{name}: {found}");
         }
