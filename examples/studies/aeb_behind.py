@@ -202,13 +202,13 @@ def draw(path, title, note, controllers, passing, limit):
     if limit is not None:
         out.append(f'<text x="{left + 6}" y="{top + size[1] + 62}" fill="#555">{limit}</text>')
     taken = [(x(own[0]), y(own[1])) for own in points.values()]
-    around = ((13, -10), (-13, -10), (13, 10), (-13, 10), (0, -15), (0, 15))
+    around = ((0, -15), (0, 15), (17, -10), (-17, -10), (17, 10), (-17, 10))
     places = [(far * dx, far * dy) for far in (1, 2, 3) for dx, dy in around]
     for number, name in enumerate(points, 1):
         px, py = (x(points[name][0]), y(points[name][1]))
         free = [(px + dx, py + dy) for dx, dy in places
                 if all(abs(px + dx - tx) > 15 or abs(py + dy - ty) > 11 for tx, ty in taken)]
-        lx, ly = (free or [(px + 13, py - 10)])[0]
+        lx, ly = (free or [(px, py - 15)])[0]
         taken.append((lx, ly))
         color = {"yes": "#0060a0", "no": "#c04000"}.get(passing.get(name), "#555")
         out.append(f'<circle cx="{px:.1f}" cy="{py:.1f}" r="4" fill="{color}"/>')

@@ -153,7 +153,7 @@ fn forged_sets_are_accepted_only_if_their_claim_is_true() {
         let mut random = Xoshiro256PlusPlus::seed_from_u64(index);
         let mut forged = genuine.clone();
         let run = random.random_range(0..forged.heights.len());
-        match random.random_range(0..8_u32) {
+        match random.random_range(0..10_u32) {
             0 => forged.heights[run].1 -= random.random_range(1..200_i64),
             1 => {
                 // One node falls.
@@ -167,7 +167,9 @@ fn forged_sets_are_accepted_only_if_their_claim_is_true() {
             3 => forged.own_mps2[0] *= random.random_range(1.0..1.5),
             4 => forged.share_at_least += random.random_range(1e-9..0.1),
             5 => forged.min_gap_m_at_least += random.random_range(1e-6..0.1),
-            6 => forged.axes[random.random_range(0..2_usize)].high *= random.random_range(1.0..1.2),
+            6 => forged.ends_beyond_gap_m = Some(forged.region_gap_m + random.random_range(-1.0..20.0)),
+            7 => forged.splits = random.random_range(0..3),
+            8 => forged.axes[random.random_range(0..2_usize)].high *= random.random_range(1.0..1.2),
             _ => forged.observation_error[random.random_range(0..3_usize)] += random.random_range(0.01..0.5),
         }
         let certificate =

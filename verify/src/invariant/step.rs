@@ -111,7 +111,7 @@ impl ClosedLoop<'_> {
             let leaving = [whole.low() - part.high(), whole.high() - part.low()];
             let to_edge = Interval::new(leaving[0].next_down(), leaving[1].next_up()).unwrap_or(Interval::ENTIRE);
             of_state[axis] = clip(of_state[axis], to_edge);
-            // Without rounding where no state moves: a simplex that only the start touches adds nothing.
+            // No rounding where no state moves: a simplex that contains only the start adds nothing.
             let (change, moved) = (of_state[axis], part + of_state[axis]);
             let low = if change.low() < 0.0 { moved.low() } else { part.low() };
             let high = if change.high() > 0.0 { moved.high() } else { part.high() };

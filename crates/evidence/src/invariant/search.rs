@@ -5,6 +5,9 @@
 //! states: the search raises the node from which the motion leads away. Heights never fall, so the search ends with a
 //! set, or at the height limit. If the checker rejects a cell, its reserve grows, and the search goes on.
 
+mod shortfall;
+mod simulated;
+
 use crumple_verify::InvariantClaim;
 use crumple_verify::invariant::MotionModel;
 use crumple_verify::invariant::table::{AXIS_COUNT, HEIGHT_UNIT_M, HeightTable};
@@ -22,12 +25,6 @@ const LAYERS: usize = 4;
 const RESERVE_M: f64 = 1e-6;
 const RESERVE_GROWTH: f64 = 8.0;
 
-/// Times for which a simulated leader accelerates before it brakes, in seconds.
-const ACCELERATES_S: [f64; 2] = [0.0, 1.0];
-/// Resolution of simulated gaps, in metres.
-const SIMULATED_WIDTH_M: f64 = 0.01;
-const MAX_SIMULATED_STEPS: u32 = 3000;
-
 type Node = [usize; AXIS_COUNT];
 /// A state and the height of the boundary there.
 type Point = ([f64; AXIS_COUNT], f64);
@@ -35,7 +32,7 @@ type Point = ([f64; AXIS_COUNT], f64);
 /// A simplex of which a state leaves the set.
 struct Shortfall {
     missing_m: f64,
-    /// Simplex that the motion touches, and the change of the state.
+    /// Simplex through which the state moves, and the change of the state.
     cell: Node,
     order: usize,
     change: [f64; AXIS_COUNT],
@@ -50,58 +47,6 @@ pub(super) struct BoundarySearch<'a> {
 }
 
 impl BoundarySearch<'_> {
-    /// Raises each node to the largest gap, by bisection, from which a leader defeats the controller in a simulation.
-    pub(super) fn raise_to_simulation(&mut self, table: &mut HeightTable) {
-        let axes = *table.axes();
-        for node in table.nodes() {
-            let state: [f64; AXIS_COUNT] = std::array::from_fn(|axis| axes[axis].node(node[axis]));
-            let [mut low_m, mut high_m] = [table.node_height(node), self.highest_m];
-            while high_m - low_m > SIMULATED_WIDTH_M {
-                let gap_m = 0.5 * (low_m + high_m);
-                if ACCELERATES_S.iter().any(|&time_s| self.collides(gap_m, state, time_s)) {
-                    low_m = gap_m;
-                } else {
-                    high_m = gap_m;
-                }
-            }
-            table.raise(node, low_m);
-        }
-    }
-
-    /// Simulates a leader that accelerates for a while and then brakes, as hard as it may.
-    fn collides(&mut self, mut gap_m: f64, state: [f64; AXIS_COUNT], accelerates_s: f64) -> bool {
-        let [mut own, mut leader, mut acceleration] = state;
-        let (claim, fastest) = (self.claim, self.claim.axes[1].high);
-        let [brakes, accelerates] = claim.leader_mps2;
-        let is_relative = claim.motion == MotionModel::Relative;
-        let mut command = 0.0;
-        for step in 0..MAX_SIMULATED_STEPS {
-            let leads = if f64::from(step) * claim.step_s < accelerates_s { accelerates } else { brakes };
-            if step % claim.decision_steps == 0 {
-                let [low, high] = self.commands(gap_m, &[own, leader, acceleration]);
-                command = (0.5 * (low + high)).clamp(claim.own_mps2[0], claim.own_mps2[1]);
-            }
-            acceleration += claim.response_per_step * (command - acceleration);
-            if is_relative {
-                let of_closing = acceleration - leads;
-                gap_m -= (own + 0.5 * of_closing * claim.step_s) * claim.step_s;
-                own += of_closing * claim.step_s;
-            } else {
-                let leads = leads.min((fastest - leader) / claim.step_s);
-                let [[own_m, own_end], [leader_m, leader_end]] =
-                    [advance(own, acceleration, claim.step_s), advance(leader, leads, claim.step_s)];
-                gap_m += leader_m - own_m;
-                (own, leader) = (own_end, leader_end);
-            }
-            let is_over = if is_relative { own <= 0.0 } else { own == 0.0 && leader == 0.0 };
-            let is_over = is_over || claim.ends_beyond_gap_m.is_some_and(|limit_m| gap_m > limit_m);
-            if gap_m <= 0.0 || is_over {
-                return gap_m <= 0.0;
-            }
-        }
-        false
-    }
-
     /// Raises a table until the checker accepts it. Returns the number of passes; `None` if a height would exceed the
     /// limit, if `observe` returns false, or after too many passes.
     pub(super) fn raise_boundary(
@@ -232,90 +177,6 @@ impl BoundarySearch<'_> {
             }
         }
         range
-    }
-
-    /// Returns the simplex and the motion for which states at least `above_m` above the boundary miss most height.
-    fn worst(&self, table: &HeightTable, points: &[Point], command: [f64; 2], above_m: f64) -> Shortfall {
-        let states: Vec<[f64; AXIS_COUNT]> = points.iter().map(|(state, _)| *state).collect();
-        let (claim, axes) = (self.claim, table.axes());
-        let time_s = claim.step_s * f64::from(claim.decision_steps);
-        let is_relative = claim.motion == MotionModel::Relative;
-        // Ranges of the change of each state, and the smallest growth of the gap.
-        let motion = |&[own, leader, acceleration]: &[f64; AXIS_COUNT]| {
-            let share = |steps: u32| 1.0 - (1.0 - claim.response_per_step).powi(steps as i32);
-            let blend = |command: f64, share: f64| acceleration + share * (command - acceleration);
-            let held = command.map(|command| [blend(command, share(1)), blend(command, share(claim.decision_steps))]);
-            let [low, high] = held.into_iter().fold([f64::INFINITY, f64::NEG_INFINITY], hull);
-            let [brakes, accelerates] = claim.leader_mps2;
-            let change_mps2 = command.map(|command| (command - acceleration) * share(claim.decision_steps));
-            if is_relative {
-                let of_closing = [low - accelerates, high - brakes];
-                let growth_m = -own * time_s - 0.5 * of_closing[1] * time_s * time_s;
-                return (growth_m, [of_closing.map(|change| change * time_s), [0.0; 2], [0.0; 2]]);
-            }
-            let [slow, fast] = [low, high].map(|held| advance(own, held, time_s));
-            let leads = [brakes, accelerates].map(|held| advance(leader, held, time_s));
-            let growth_m = leads[0][0] - fast[0];
-            (growth_m, [[slow[1] - own, fast[1] - own], leads.map(|end| end[1] - leader), change_mps2])
-        };
-        let motions: Vec<_> = states.iter().map(motion).collect();
-        let touched: [[usize; 2]; AXIS_COUNT] = std::array::from_fn(|axis| {
-            let reached = states.iter().zip(&motions).map(|(state, (_, changes))| {
-                let [low, high] = changes[axis];
-                [state[axis] + low.min(0.0), state[axis] + high.max(0.0)]
-            });
-            let [low, high] = reached.fold([f64::INFINITY, f64::NEG_INFINITY], hull);
-            let Some(last) = axes[axis].cells.checked_sub(1) else { return [0, 0] };
-            let place = |value: f64| {
-                (value - axes[axis].low) / (axes[axis].high - axes[axis].low) * f64::from(axes[axis].cells)
-            };
-            // A cell that a motion only touches adds nothing.
-            let first = ((place(low) + 1e-9).max(0.0) as usize).min(last as usize);
-            [first, ((place(high) - 1e-9).max(0.0) as usize).clamp(first, last as usize)]
-        });
-        let extent: [[f64; 2]; AXIS_COUNT] = std::array::from_fn(|axis| {
-            states.iter().map(|state| [state[axis]; 2]).fold([f64::INFINITY, f64::NEG_INFINITY], hull)
-        });
-        let mut worst = Shortfall { missing_m: f64::NEG_INFINITY, cell: [0; 3], order: 0, change: [0.0; 3] };
-        for i in touched[0][0]..=touched[0][1] {
-            for (j, k) in
-                (touched[1][0]..=touched[1][1]).flat_map(|j| (touched[2][0]..=touched[2][1]).map(move |k| (j, k)))
-            {
-                let cell = [i, j, k];
-                for (order, of_order) in table.orders().iter().enumerate() {
-                    let nodes = table.simplex(cell, of_order);
-                    let mut slopes = [0.0; AXIS_COUNT];
-                    for (place, &axis) in of_order.iter().enumerate() {
-                        let width = axes[axis].node(cell[axis] + 1) - axes[axis].node(cell[axis]);
-                        let rise = table.node_height(nodes[place + 1]) - table.node_height(nodes[place]);
-                        slopes[axis] = rise / width;
-                    }
-                    for (state, (growth_m, changes)) in states.iter().zip(&motions) {
-                        let change: [f64; AXIS_COUNT] = std::array::from_fn(|axis| {
-                            let [low, high] = changes[axis];
-                            let to_edge = [axes[axis].low - state[axis], axes[axis].high - state[axis]];
-                            let [low, high] = [low.clamp(to_edge[0], to_edge[1]), high.clamp(to_edge[0], to_edge[1])];
-                            // Only a motion towards a cell touches it.
-                            let low = if axes[axis].node(cell[axis]) >= extent[axis][1] { low.max(0.0) } else { low };
-                            let is_below = axes[axis].node(cell[axis] + 1) <= extent[axis][0];
-                            let high = if is_below && axes[axis].cells > 0 { high.min(0.0) } else { high };
-                            match slopes[axis] {
-                                0.0 => 0.0_f64.max(low).min(high),
-                                slope if slope > 0.0 => high,
-                                _ => low,
-                            }
-                        });
-                        let rise: f64 = slopes.iter().zip(change).map(|(slope, change)| slope * change).sum();
-                        let still = rise == 0.0 && *growth_m >= 0.0;
-                        let missing_m = rise - growth_m - if still { above_m.max(0.0) } else { above_m };
-                        if missing_m > worst.missing_m {
-                            worst = Shortfall { missing_m, cell, order, change };
-                        }
-                    }
-                }
-            }
-        }
-        worst
     }
 }
 
