@@ -58,8 +58,8 @@ pub struct ImportedRecording {
     pub hardest: HardestBrakingResult,
 }
 
-/// Reads recordings, with a map if there is one, and passes the scenario of each braking episode to `take`, in the order
-/// of the recordings. The import ends early if `take` returns false.
+/// Reads recordings, with a map if there is one, and passes the scenario of each braking episode to `take`, in the
+/// order of the recordings. The import ends early if `take` returns false.
 ///
 /// Names are unique and consist of format, file and number, such as `openacc-long-setting-dynamic-part16-01`. Files
 /// with the same name in different folders share one sequence of numbers.
