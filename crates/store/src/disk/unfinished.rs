@@ -1,8 +1,9 @@
 //! Temporary files `.crumple-unfinished-*`, written and not yet renamed.
 //!
 //! [`StagedFiles`](super::StagedFiles) locks a file with a random name in each folder, until all other files there,
-//! which have this name and a number, are renamed. So any process recognises files of an ended writer. [`RunFolder`](crate::run_folder::RunFolder) numbers its files, which only
-//! the process that holds the lock of the folder removes.
+//! which have this name and a number, are renamed. So any process recognises files of an ended writer.
+//! [`RunFolder`](crate::run_folder::RunFolder) numbers its files, which only the process that holds the lock of the
+//! folder removes.
 
 use std::fs::{self, File, TryLockError};
 use std::io;
