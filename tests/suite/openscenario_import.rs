@@ -59,8 +59,7 @@ fn representable(scenario: &Scenario) -> Option<Scenario> {
     edited.ok()
 }
 
-/// Compares two files. Numbers may differ in the ninth decimal, because the braking of a vehicle is a product of numbers
-/// that are rounded to nine decimals.
+/// Compares two files. Numbers may differ in the ninth decimal: braking is a product of numbers with nine decimals.
 fn assert_same_file(file: &[u8], again: &[u8]) {
     let [file, again] = [file, again].map(String::from_utf8_lossy);
     assert_eq!(file.split('"').count(), again.split('"').count());
