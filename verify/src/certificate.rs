@@ -43,8 +43,8 @@ pub struct Certificate {
 /// The subject of a statement: a scenario, a box around one, or a scenario space.
 ///
 /// In version 2 its text is part of the certificate and its hash is checked. `crumple check` compares the text with the
-/// numbers of the statement. A kernel concerns no single scenario, so these fields are absent. From these fields of a
-/// certificate of version 1, nothing is concluded.
+/// numbers of the statement. A kernel concerns no single scenario, so `crumple` is its only field. The checker
+/// concludes nothing from these fields in a certificate of version 1.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct CertificateProvenance {
@@ -121,7 +121,7 @@ impl std::fmt::Display for Assumption {
             Self::PolicyDrives => "the vehicle under test does at once what the stated policy asks for",
             Self::ObservedWithin => "what the policy observes is within the stated errors of the truth",
             Self::TanhWithin => "tanh in single precision is within 2^-22 of the true one",
-            Self::ExpWithin => "exp and exp - 1 in single precision are within 2^-22 of themselves of the true ones",
+            Self::ExpWithin => "exp and exp - 1 in single precision have a relative error of at most 2^-22",
             Self::NetworkAsRead => {
                 "the network is the one of its source file, as crumple read it, with the mapping stated"
             }

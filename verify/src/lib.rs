@@ -23,7 +23,7 @@
 //! The certificate must list its [`Assumption`]s. Numbers in the file are read as the nearest 64-bit floating-point
 //! numbers. `crumple check`, not this crate, compares them with the scenario text in the file. Motion is that of real
 //! numbers. A simulator rounds at each step by about 1e-13 m within a kilometre of its origin, and by 1e-10 m a
-//! thousand kilometres from it. The rest is trust in this crate, its compiler, and IEEE 754 arithmetic.
+//! thousand kilometres from it. Beyond that, a reader must trust this crate, its compiler, and IEEE 754 arithmetic.
 //!
 //! # Checking by hand
 //! A car at 20 m/s that can brake at 8 m/s² is 1 m behind a standing vehicle of 2 m; steps take 0.1 s. One condition of
@@ -313,7 +313,7 @@ pub enum Rejection {
         /// Proved gap, in metres.
         gap_m: f64,
     },
-    /// The policy file is missing, another one, or not usable.
+    /// The policy file is missing, is not the one of the claim, or is not usable.
     #[error("the policy file {problem}")]
     Policy {
         /// Description of the problem.

@@ -24,7 +24,7 @@ pub struct Scope {
     pub about: String,
     /// Each vehicle except those behind, front to rear, with its initial state and possible behaviour.
     pub vehicles: Vec<String>,
-    /// Claim about vehicles behind the last one under test; `None` if the claim has no such place.
+    /// Claim about vehicles behind the last one under test; `None` for a claim about a scenario space.
     pub behind: Option<String>,
     /// Other limits.
     pub limits: Vec<String>,
@@ -173,7 +173,7 @@ fn runs_scope(registration: &Registration) -> Scope {
         vehicles.push(controller("against"));
     }
     let (runs, seed) = (registration.runs, of("seed"));
-    // Registrations, which are hashed, keep the first wording.
+    // Registrations are hashed, so they keep the earlier wording.
     let failure = of("failure").to_string().replacen("vehicles touch", "collision", 1);
     let limits = vec![format!("{runs} random scenarios, seed {seed}; a failure is: {failure}")];
     partial_scope(horizon_s, vehicles, limits)

@@ -2,23 +2,24 @@
 //!
 //! Over [l, h] a line s x + [m, M] replaces each function f, with a plain number s and m ≤ f(x) - s x ≤ M; the excess
 //! is a symbol of its own. s is near the slope of the chord; m and M are bounds for the chosen s. The single-precision
-//! value differs from f by a stated rounding. With u = 2⁻²⁴, m and M, and rounding:
+//! value differs from f by a stated rounding. With u = 2⁻²⁴, the list states where m and M come from, and the rounding:
 //!
 //! - max(0, x): convex, and a line on either side of 0: f - s x takes its extremes at l, 0 and h; no rounding;
-//! - x, a x below 0: a line on either side of 0 for any a: likewise; u a x below 0;
+//! - leaky ReLU (x, but a x below 0): a line on either side of 0, so the extremes are at l, 0 and h for any a; rounding
+//!   u |a x| below 0;
 //! - x clipped to [c, d]: f - s x takes its extremes at l, c, d and h; no rounding;
-//! - tanh: odd, convex below 0 and concave above: each half by its tangent; assumed, [`TANH_ERROR`];
-//! - 1/(1 + e⁻ˣ): 1/2 + tanh(x/2)/2, of which every step but the tanh is exact; below;
-//! - x, α (eˣ - 1) below 0: for 0 ≤ α ≤ 1 convex: highest at l or h, and above its tangents, 0 among them if α ≤ s ≤ 1;
-//!   else the range, on a level line; below;
-//! - x + a, a x, x / a: a line; u of the result, for products 10⁻⁴⁴ besides.
+//! - tanh: odd, convex below 0 and concave above: each half by its tangent; rounding assumed as [`TANH_ERROR`];
+//! - 1/(1 + e⁻ˣ): bounded as 1/2 + tanh(x/2)/2, where every operation but the tanh is exact; rounding: next section;
+//! - ELU (x, but α (eˣ - 1) below 0): for 0 ≤ α ≤ 1 convex: f - s x is largest at l or h, and lies above its tangents
+//!   and, if α ≤ s ≤ 1, above 0; for other α, s = 0 and [m, M] is the range of f; rounding: next section;
+//! - x + a, a x, x / a: a line; rounding u of the result, plus 10⁻⁴⁴ for products and quotients.
 //!
 //! # Rounding of exp
 //! exp and exp - 1 in single precision are assumed to have a relative error of at most 2⁻²², and an error of 10⁻³⁸ for
-//! values that small; libm's are within 2⁻²³ in tests. An infinite e⁻ˣ makes 1/(1 + e⁻ˣ) zero, where it is less than
-//! 2⁻¹²⁶. With y = e⁻ˣ the derivative of 1/(1 + y) is at most 1 and, times y, at most 1/4. So the quotient is off by
-//! 2⁻²⁴ for the exponential, u for the sum and u for the division, in all by less than 2⁻²². α (eˣ - 1) is off by |α|
-//! (2⁻²² + u) at most, less than |α| 2⁻²¹.
+//! values that small; libm's are within 2⁻²³ in tests. If e⁻ˣ overflows to infinity, the computed 1/(1 + e⁻ˣ) is 0, and
+//! the true value is less than 2⁻¹²⁶. With y = e⁻ˣ the derivative of 1/(1 + y) is at most 1 and, times y, at most 1/4.
+//! So the quotient is off by 2⁻²⁴ for the exponential, u for the sum and u for the division, in all by less than 2⁻²².
+//! α (eˣ - 1) is off by |α| (2⁻²² + u) at most, less than |α| 2⁻²¹.
 
 use super::controller::{TANH_ERROR, UNIT_ROUNDOFF};
 use super::form::AffineForm;

@@ -1,6 +1,6 @@
 //! Vehicles that brake to standstill: leader and follower.
 //!
-//! Both hold their speed until they brake at b from a time τ on, to standstill. With P = max(0, t - τ) and w = v - b P
+//! Both hold their speed until they brake at b from a time τ on, to standstill. With P = max(0, t - τ) and w = v - b P:
 //!
 //! ```text
 //! speed    = max(0, w)
@@ -8,9 +8,10 @@
 //!          = v τ + v²/(2 b)                         once all members stand
 //! ```
 //!
-//! evaluated anew at each decision from forms of v, b and τ: no error adds up. The leader's τ need not be an instant.
-//! Over the step of τ, the simulator holds the mean acceleration, which costs at most b h²/8 of distance, subtracted as
-//! an interval. The acceleration observed is that of the step before; if members differ it is any number from -b to 0.
+//! These equations are evaluated anew at each decision from forms of v, b and τ: no error adds up. The leader's τ need
+//! not be an instant. Over the step of τ, the simulator holds the mean acceleration, which costs at most b h²/8 of
+//! distance, subtracted as an interval. The acceleration observed is that of the step before; if members differ it is
+//! any number from -b to 0.
 
 use super::form::AffineForm;
 use super::relax::{reciprocal, relu, relu_squared};

@@ -10,15 +10,15 @@
 //!
 //! with y its inputs, which are affine forms. There is one symbol ηⱼ for each activation that is not straight over the
 //! range of its number (a straight line and a bounded excess replace it, see [`activation`](super::activation)), and ρ
-//! for everything small. The range of a number is that over the forms, not over their box, so correlations of the
-//! observations count. The output is again an affine form in the symbols of the state, so correlations survive the next
-//! step. Operations after the last product apply to that form.
+//! for everything small. The range of a number follows from the forms, not from the box around them, so correlations of
+//! the observations count. The output is again an affine form in the symbols of the state, so correlations survive the
+//! next step. Operations after the last product apply to that form.
 //!
 //! # Rounding of the network
 //! With u = 2⁻²⁴, a sum of n products and a bias in single precision, in any order, fused or not (a fused multiply-add
-//! rounds once instead of twice), is off by at most γ (Σ|w||h| + |b|), with γ = (n + 2) u / (1 - (n + 2) u), and by
-//! less than (n + 1) 10⁻⁴⁴ in all if products underflow. Maxima do not round. An input is off by u (1 + 10⁻⁶) of
-//! itself, and a difference of two observed numbers by 2⁻⁵³ of itself before any subtraction. The tanh of a
+//! rounds once instead of twice), is off by at most γ (Σ|w||h| + |b|), with γ = (n + 2) u / (1 - (n + 2) u). Products
+//! that underflow add less than (n + 1) 10⁻⁴⁴ in all. Maxima do not round. An input is off by u (1 + 10⁻⁶) of itself. A
+//! difference of two observed numbers is off by 2⁻⁵³ of itself, before the offset is subtracted. The tanh of a
 //! single-precision number is assumed to be within 2⁻²² of the true one; libm's is within 2⁻²³ in tests. Each is added
 //! to ρ. The scaled output is off by less than 10⁻¹⁴ of its terms. The bounds also hold for the network in real
 //! numbers.

@@ -2,7 +2,7 @@
 //!
 //! The controller decides every D steps and holds its command u. The command is affine in the symbols plus a rest,
 //! which becomes a new symbol. After s seconds the free speed is w = v + u s, the speed is max(0, w), and the distance
-//! is v s + u s²/2 + max(0, -w)²/(2|u|). The last term is at most max(-w) s/2, since -w ≤ |u| s as v ≥ 0. If all
+//! is v s + u s²/2 + max(0, -w)²/(2|u|). The last term is at most max(0, -w) s/2, since v ≥ 0 gives -w ≤ |u| s. If all
 //! members stop they cover at most v s/2. The added uncertainty becomes new symbols too, so that no uncertainty is
 //! counted twice.
 //!

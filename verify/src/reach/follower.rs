@@ -11,13 +11,15 @@
 //! - `idm` (Treiber, Hennecke and Helbing, Phys. Rev. E 62, 1805 (2000), equations 3 and 4): A (1 - (v/v₀)⁴ - (s*/s)²)
 //!   with s* = s₀ + max(0, v T + v (v - w) / (2 √(A B))), where a gap below 1 cm counts as 1 cm;
 //! - `acc-aeb`: -b in a step that begins with s < θ (v - w). Otherwise the smaller of k_v (u - v) and k_g (s - s₀ - T
-//!   v) + k_v (w - v), clipped to its comfort limits, with u its speed at the first such step. It only brakes before,
-//!   so u is from 0 to v(0), and v(0) unless the brake fires at the start.
+//!   v) + k_v (w - v), clipped to its comfort limits. u is the follower's speed at the first step without the emergency
+//!   brake. Before that step the follower only brakes, so u is from 0 to v(0). If the brake does not fire at the start,
+//!   u is v(0).
 //!
-//! The law is evaluated in affine forms, which keep the correlation of follower and ego: a sum loses nothing, a product
-//! or a bend the second order of the width. Inputs are within 10⁻⁹ of the truth, the rounding of double precision. New
-//! uncertainty within a decision interval belongs to no symbol; it becomes symbols at the decision, as for the ego. If
-//! the emergency brake of `acc-aeb` may fire or not, the acceleration is any number in between.
+//! The law is evaluated in affine forms, which keep the correlation of follower and ego. A sum is exact; a product, a
+//! minimum or a maximum loses an amount of second order in the width. Inputs are within 10⁻⁹ of the truth, the rounding
+//! of double precision. New uncertainty within a decision interval belongs to no symbol; it becomes symbols at the
+//! decision, as for the ego. If the emergency brake of `acc-aeb` may fire or not, the acceleration is any number in
+//! between.
 
 use std::fmt;
 

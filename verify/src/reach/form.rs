@@ -5,9 +5,9 @@
 //!
 //! # Rounding
 //! An operation that changes terms computes each of them with at most three roundings. Each rounding of a result r errs
-//! by at most u |r| with u = 2⁻⁵³, or by less than 10⁻³⁰⁰ if it underflows. The sum of the |r| times 4u goes into
-//! `rest`, twice the required amount, which also covers rounding that sum. Sums of n ≤ 8500 numbers that are not
-//! negative err by less than 10⁻¹² of themselves. A number that is not finite makes the form the whole line.
+//! by at most u |r| with u = 2⁻⁵³, or by less than 10⁻³⁰⁰ if it underflows. The sum of the |r| times at least 2u goes
+//! into `rest`, at least twice the required amount, which also covers rounding that sum. Sums of n ≤ 8500 numbers that
+//! are not negative err by less than 10⁻¹² of themselves. A number that is not finite makes the form the whole line.
 
 use crate::interval::Interval;
 

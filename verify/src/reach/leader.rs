@@ -2,25 +2,26 @@
 //!
 //! # Bounded braking
 //! The leader's acceleration is piecewise constant with arbitrary values in [-b, 0] until standstill; it never speeds
-//! up. Its change of speed is the integral of a rate from -b to 0, at standstill too (0). Over a time T with the mean u
-//! of that rate
+//! up. Its change of speed is the integral of a rate between -b and 0, which is 0 at standstill. Over a time T with the
+//! mean u of that rate
 //!
 //! ```text
 //! speed    = v + u T
 //! distance = x + v T + u T²/2 + e,    |e| ≤ b T²/8
 //! ```
 //!
-//! where e depends on the time of braking. With all of it at the begin the integral of (T - s) a(s) is -b (T τ - τ²/2),
-//! with all of it at the end -b τ²/2, for τ = -u T / b, and neither is farther than b τ (T - τ)/2 from u T²/2. Each u
-//! and each e is a symbol of its own, shared by all later states of the leader, so the ego's reaction is correlated
-//! with the observed braking.
+//! where e depends on when the leader brakes. Let τ = -u T / b. If it brakes at b for a time τ at the beginning, the
+//! integral of (T - s) a(s) is -b (T τ - τ²/2). If it does so at the end, the integral is -b τ²/2. These are the
+//! extremes. Both differ from u T²/2 by b τ (T - τ)/2, which is at most b T²/8. Each u and each e is a symbol of its
+//! own, shared by all later states of the leader, so the ego's reaction is correlated with the observed braking.
 //!
 //! These forms also hold members that reverse. No leader does, so speeds below 0 are cut off, and distances below the
 //! stopping distance of the slowest leader that brakes at b from the start. Cut values serve the observation at this
 //! instant only; the forms above are propagated, so cutting errors do not accumulate.
 //!
 //! A symbol covers a block of decisions: one decision, or more so that there are at most `MAX_BLOCKS`. Inside a block u
-//! is any number from -b to 0, without correlations. The observed acceleration, that of the step before, is too.
+//! is any number from -b to 0, without correlations. So is, at each decision after the first, the observed
+//! acceleration, which is that of the step before.
 
 use super::braking::{BrakingVehicle, VehicleState};
 use super::ego_set::SHARED_SYMBOLS;

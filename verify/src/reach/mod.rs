@@ -9,7 +9,8 @@
 //! dropped. Enclosures and their losses of tightness, with noise symbols as in [`form`]:
 //!
 //! - initial state: one symbol for each range, for the whole run; no loss;
-//! - ReLU that may be active or not on [l, h]: line and excess, a symbol within the decision; at most (h · -l)/(h - l);
+//! - ReLU that may be active or not on [l, h]: a line plus an excess, for which there is a symbol until the output of
+//!   the network is known; at most (h · -l)/(h - l);
 //! - other activation functions: likewise, with a [line](activation) for each; second order in the width if smooth;
 //! - tanh of the output: chord and its largest distance on either side; second order in the width;
 //! - clipping of inputs and of the acceleration: two ReLUs; no loss while no member is clipped;
@@ -22,7 +23,7 @@
 //!   fire;
 //! - firing instant of the follower: a propagation for each decision interval in which it may fire, with a symbol for
 //!   the instant; a small loss;
-//! - old noise symbols: merged (Girard order reduction of the zonotope); almost nothing;
+//! - old noise symbols: merged in pairs ([order reduction](ego_set) of the zonotope); almost nothing;
 //! - inside a decision interval of D steps h: the smaller gap at its ends less m (D h)²/8, for a relative acceleration
 //!   of at most m; about 2 cm.
 //!

@@ -21,9 +21,9 @@
 //! # Collisions
 //! Gaps are compared at decisions. In between g'' ≤ m, the largest acceleration of the vehicle ahead (at least 0) less
 //! the smallest of the one behind (at most 0), so g ≥ min(g at begin, g at end) - m (D h)²/8 throughout; see
-//! [`avoidable`](crate::avoidable). "At least 0" is dropped for an ego that still moves at the end, as it has not
-//! stopped; not for one with a law, which may have restarted. The gap to a standing follower never falls, although
-//! bounds of the ego hold members that reverse.
+//! [`avoidable`](crate::avoidable). For the gap to a latched follower, "at least 0" is dropped if the ego still moves
+//! at the end, because it has not stopped. A vehicle with a law may have restarted, so "at least 0" stays. The gap to a
+//! standing follower never falls, although bounds of the ego hold members that reverse.
 //!
 //! # Standstill
 //! Fixed point: if all vehicles stand and the controller commands no motion, every later step is identical, and
@@ -367,8 +367,8 @@ impl ReachAnalysis<'_> {
         Some((own, least_m))
     }
 
-    /// Records the gaps over a decision interval, `driven_m` for a follower with a law. Returns true if all members
-    /// surely collide.
+    /// Records the gaps over a decision interval. `driven_m` bounds the gap to a follower with a law. Returns true if
+    /// all members surely collide.
     fn record_gaps(
         &mut self,
         k: u32,

@@ -6,7 +6,7 @@
 //! - f convex: f - s x is largest at an end, and lies above its tangent at any x₀, whose least value is at an end. x₀
 //!   is chosen where f' is about s, so that the tangent is nearly level.
 //! - tanh is odd, convex below 0 and concave above, so each half is bounded like that.
-//! - x, α (eˣ - 1) below 0, is convex for 0 ≤ α ≤ 1; 0 is below it if α ≤ s ≤ 1.
+//! - ELU (x, but α (eˣ - 1) below 0) is convex for 0 ≤ α ≤ 1; f - s x is not negative if α ≤ s ≤ 1.
 //!
 //! # exp and tanh
 //! For 0 ≤ y ≤ 40 let t = y / 1024. Then e⁻ᵗ lies between the Taylor sums of degree 7 and 8 (the series alternates and

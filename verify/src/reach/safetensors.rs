@@ -137,7 +137,8 @@ impl NeuralController {
     }
 
     /// Bounds the magnitude of the output, or returns the first layer in which a number could leave single precision.
-    /// The bound |h W + b| <= |h| |W| + |b| holds for every partial sum too. All rounding bounds assume it.
+    /// The bound |h W + b| <= |h| |W| + |b| holds for every partial sum too. All rounding bounds assume that no number
+    /// leaves single precision.
     pub(super) fn max_output_magnitude(&self) -> Result<f64, usize> {
         // Half of the range is left for rounding.
         let highest = 0.5 * f64::from(f32::MAX);

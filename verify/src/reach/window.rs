@@ -16,7 +16,7 @@ pub(super) struct FiringWindow {
     /// The decision before the first instant, and the members at it.
     pub(super) k: u32,
     pub(super) members: ByMode<EgoSet>,
-    /// True if any member of the mode may trigger its AEB in this window.
+    /// For each motion mode: true if the follower of any member may fire its emergency brake in this window.
     fires_by_mode: [bool; 3],
     pub(super) instants: [f64; 2],
 }

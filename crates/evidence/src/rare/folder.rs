@@ -105,8 +105,8 @@ impl RareFolder {
         self.progress.run_pilot(plan, &ProgressCounter::new(observer, None))
     }
 
-    /// Runs the remaining repetitions, and saves each of them and the estimate. With a space that is fitted to
-    /// episodes, also estimates with less effort in spaces that are fitted to `resamples`.
+    /// Runs the remaining repetitions, and saves each of them and the estimate. If the space is fitted to episodes,
+    /// also estimates, with less effort, the rate in spaces that are fitted to `resamples` resamples of them.
     ///
     /// # Errors
     /// [`RareError`] if a run fails, a file cannot be written, or `observer` stops the estimate.

@@ -80,7 +80,7 @@ pub struct Level {
     pub smallest_gap_m: Option<f64>,
     /// Probability of reaching the level: mean over the repetitions.
     pub probability: f64,
-    /// Share of runs at the previous level that passed: mean over the repetitions that reached that.
+    /// Share of runs at the previous level that passed: mean over the repetitions that reached the previous level.
     pub share: f64,
     /// Step of the chains below this level, from 0 (no move) to 1 (independent sample); `None` at the last one.
     pub step: Option<f64>,

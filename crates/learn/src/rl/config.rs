@@ -114,7 +114,7 @@ pub enum TimeLimit {
 pub struct NetworkConfig {
     /// Widths of the hidden layers of both networks.
     pub hidden: Vec<usize>,
-    /// Bound of the output weights, which start uniform; 0 for the fan-in bound of all other layers.
+    /// Bound of the uniform initial weights of the output layer; 0 for the fan-in bound, as in all other layers.
     #[serde(deserialize_with = "deserialize_f32_no_underflow")]
     pub final_layer_bound: f32,
 }

@@ -48,7 +48,7 @@ pub struct PolicyEvaluation {
     /// Usefulness of a ranked policy in everyday traffic; none if it was not ranked, or there are no such scenarios.
     #[serde(rename = "useful", default, skip_serializing_if = "Option::is_none")]
     pub usefulness: Option<TrafficUsefulness>,
-    /// Collision share of the ranking scenarios plus the penalty of usefulness; none like `usefulness`.
+    /// Collision share of the ranking scenarios plus the penalty of usefulness; none if `usefulness` is none.
     #[serde(rename = "both_sides", default, skip_serializing_if = "Option::is_none")]
     pub combined_penalty: Option<f64>,
 }
@@ -123,7 +123,7 @@ impl EvaluationSet {
     /// Simulates a policy in the screening scenarios and, if it passes, in the ranking scenarios.
     ///
     /// # Errors
-    /// [`RunError::Interval`] if the policy's decision interval does not fit the scenarios' step.
+    /// [`RunError::DecisionInterval`] if the policy's decision interval does not fit the scenarios' step.
     pub(crate) fn evaluate(&self, policy: &Arc<Policy>) -> Result<PolicyEvaluation, RunError> {
         let of = self.environment.estimator;
         let mut is_safe_in_paper = [true; 3];

@@ -80,7 +80,8 @@ impl<'a> TrainingFolder<'a> {
         };
         let before = work.read(LOG)?.unwrap_or_default();
         let is_done = |line: &&str| parse_episode(line).is_some_and(|episode| episode <= trainer.episode());
-        // Drop an evaluation that is only due at the end of the training. It is repeated if the end is the same.
+        // Drop an evaluation that was made only because an earlier training ended. It is repeated if this one ends at
+        // the same episode.
         let is_of_the_end = |line: &&str| {
             parse_evaluation(line).is_some_and(|(episode, _)| episode > 0 && !trainer.is_evaluation_episode(episode))
         };

@@ -22,7 +22,7 @@ use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{Run, RunOptions};
 
-/// Imitation of a controller (DAgger), and its trace in reinforcement learning.
+/// Imitation of a controller (DAgger), and its weight in reinforcement learning.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(deny_unknown_fields)]

@@ -13,7 +13,7 @@ pub(super) const FULL_BRAKE_MPS2: f64 = 7.5;
 /// Jerk with a cost term of 1, in m/s³: full braking within 0.1 s.
 const FULL_JERK_MPS3: f64 = 75.0;
 const FULL_RELATIVE_SPEED_MPS: f64 = 10.0;
-/// Margin above the caused braking before it counts as unnecessary, in m/s².
+/// Braking beyond the justified one that does not yet count as unnecessary, in m/s².
 const UNNECESSARY_BRAKING_MARGIN_MPS2: f64 = 1.0;
 
 impl CostConfig {

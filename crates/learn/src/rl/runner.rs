@@ -89,7 +89,7 @@ pub(crate) fn train_with_recorder<E: From<TrainingError>>(
     held_out: &EvaluationSet,
     recorder: &mut impl TrainingRecorder<E>,
 ) -> Result<(), E> {
-    // The policy before reinforcement learning is the reference for the improvement by it.
+    // Evaluate the policy before reinforcement learning, as the reference for its improvement.
     if trainer.episode() == 0 {
         trainer.imitate(|round| recorder.record(&TrainingEvent::Imitation(*round)))?;
         evaluate_and_record(trainer, held_out, recorder)?;

@@ -130,7 +130,7 @@ pub struct Trainer {
     pub(super) decisions: u64,
     pub(super) best: Option<BestPolicy>,
     pub(super) mastered: bool,
-    /// True if the actor started from a policy: it does not imitate first.
+    /// True if the actor started from a policy, which an imitation must not spoil.
     pub(super) has_initial_policy: bool,
     /// Mean of the actor's weights over updates; none if it is not used, and before the first update.
     pub(super) weight_average: Option<Network>,
@@ -165,8 +165,9 @@ impl Trainer {
         }
     }
 
-    /// Starts the actor and its target from the weights of `policy`, if it has the same shape. Critics start anew. The
-    /// actor then does not imitate an expert first; the imitation term of reinforcement learning remains.
+    /// Starts the actor and its target from the weights of `policy`, if it has the same shape. Critics start anew. An
+    /// imitation then starts from the policy, and preserves what it does well in spaces whose costs count more than
+    /// once.
     #[must_use]
     pub fn with_initial_policy(mut self, policy: &Policy) -> Self {
         let actor = &mut self.learner.actor;

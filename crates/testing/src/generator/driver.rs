@@ -73,7 +73,7 @@ fn read_series(choices: &mut Choices<'_>, nominal: f64, range: [f64; 2]) -> (Vec
         .unzip()
 }
 
-/// Controllers to generate: all up to the reference drivers, and the reference policy.
+/// Controllers to generate: all with a role up to [`Role::Reference`], and the built-in policy.
 pub static CONTROLLERS: LazyLock<Vec<ControllerSpec>> = LazyLock::new(|| {
     let rules = ControllerSpec::all().into_iter().filter(|spec| spec.role() <= Role::Reference);
     rules.chain([ControllerSpec::Policy(Default::default())]).collect()

@@ -43,8 +43,8 @@ pub enum ShieldRefusal {
     SensorFaults,
     /// Rounding may decrease the gap by more than the margin covers.
     #[error(
-        "rounding may take up to {rounding_m} m of the gap in runs so long, at positions up to {} m, which a margin \
-         of at most {max_margin_m} m does not pay for twice: begin nearer to the origin, or make fewer or longer steps",
+        "rounding may take up to {rounding_m} m of the gap in a run of this length at positions up to {} m, and twice \
+         that exceeds the largest margin, {max_margin_m} m: begin nearer to the origin, or make fewer or longer steps",
         crumple_core::digits::format_rounded(*position_m, 3)
     )]
     Rounding {
@@ -160,7 +160,7 @@ impl Run {
     ///
     /// No vehicle overtakes, so the first vehicle bounds all positions. For a vehicle (speed v, brake b) in the kernel
     /// with its leader (speed w, brake c), the difference of their stopping distances v²/2b - w²/2c is at most the gap,
-    /// and the gap is at most the road of the run. This bounds v.
+    /// and the gap is at most the length of the road that the run can cover. This bounds v.
     fn motion_bounds(&self, front: usize, frame: &ShieldParams) -> MotionBounds {
         let spec = self.scenario().spec();
         let vehicles = self.scenario().vehicles();

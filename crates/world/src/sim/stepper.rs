@@ -316,7 +316,7 @@ struct VehicleLoop {
     tracked_neighbours: [Option<usize>; 2],
     /// External command for this step.
     command_mps2: Option<f64>,
-    /// Observation of a driver that is consulted, and its last answer, in m/s².
+    /// For a consulted driver: the estimator of its observations, and its last answer in m/s².
     consulted: Option<(EstimatorKind, f64)>,
 }
 

@@ -7,7 +7,7 @@ use crate::worst_case::{AvoidOptions, AvoidanceVerdict, SearchEffort, avoid};
 use crumple_world::measure::{RunVerdict, Specification};
 use crumple_world::scenario::Scenario;
 
-/// Result of the question if any controller could have avoided a failure; see [`avoid`] for what each class asserts.
+/// Answer to the question whether any controller could have avoided a failure. [`avoid`] defines the classes.
 #[derive(Debug, Clone, PartialEq, Default, Serialize, Deserialize)]
 #[serde(into = "AvoidabilityOutput", from = "AvoidabilityInput")]
 #[non_exhaustive]

@@ -73,7 +73,7 @@ settings! {
 const LATEST_BRAKE_SHARE: f64 = 0.97;
 /// Braking harder than this counts as hard ([`crate::measure`]: 4 m/s², less errors of the estimate), in m/s².
 const HARD_BRAKE_MPS2: f64 = 3.8;
-/// Limit of the justified deceleration, in m/s²: hard braking is unnecessary only below it (3 m/s², plus errors of the
+/// Justified deceleration below which hard braking counts as unnecessary, in m/s² (3 m/s², plus errors of the
 /// estimate).
 const HARD_BRAKE_CAUSE_MPS2: f64 = 3.5;
 /// Time from the firing of the follower's emergency brake to its deceleration, in seconds.

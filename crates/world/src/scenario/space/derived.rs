@@ -23,7 +23,7 @@ pub(super) fn apply_load(vehicle: &mut VehicleSpec, load: f64) {
 }
 
 /// Reduces accelerations so that the speed at the end of each piece stays within [`CRUISE_SPEED_RANGE_MPS`], or does
-/// not leave it further. Reduction keeps limits that hold for all values.
+/// not leave it further. A reduced acceleration stays within all limits that the original one satisfies.
 pub(super) fn apply_cruise(vehicle: &mut VehicleSpec, wanted_mps2: &[f64], until_s: f64) {
     let mut speed_mps = vehicle.speed_mps;
     let Driver::Profile(LeadProfile::Pieces(PiecewiseAcceleration { from_s, accel_mps2 })) = &mut vehicle.driver else {

@@ -5,9 +5,9 @@ use statrs::distribution::{Continuous, ContinuousCDF, Gamma, LogNormal, Normal a
 /// The distribution of one coordinate over its range.
 ///
 /// A *coordinate* in [0, 1] maps linearly to the range, or to its logarithm for a log-uniform distribution. A choice
-/// has equal slices, one a value; a point mass has a tenth, and the other values the rest. Classes are numbered. The
-/// position within a slice does not affect the scenario, but encodes the CDF, so that coordinates map back to it
-/// exactly.
+/// has equal slices, one for each value. A point mass has a slice of a tenth, and the other values have the rest.
+/// Classes are numbered. The position within a slice does not affect the scenario, but encodes the CDF, so that
+/// coordinates map back to it exactly.
 #[derive(Debug, Clone, PartialEq)]
 pub(super) enum CoordinateMarginal {
     Uniform {

@@ -42,8 +42,8 @@
 //! Parameters are independent unless `dependence` states a Gaussian copula: uniform numbers u become normal scores z =
 //! Φ⁻¹(u), correlated scores y = L z with L Lᵀ the correlation matrix, and probabilities Φ(y) for the inverse CDF of
 //! each parameter (Nelsen, An Introduction to Copulas, 2006, 2.3 and 3.1). Ranges, and thus points, do not change. A
-//! value with positive probability has an interval of probabilities; the position in its slice of a coordinate encodes
-//! the probability, so that densities of points are exact. Points made from values use the middle.
+//! value with positive probability has an interval of probabilities. The value's slice of the coordinate maps to that
+//! interval, so that densities of points are exact. A point that is made from values lies in the middle of the slice.
 //!
 //! In a space without positions all vehicles keep their bumper gaps when lengths or classes vary.
 
@@ -102,7 +102,7 @@ use crate::random::{self, Purpose};
 #[derive(Debug, Clone)]
 pub struct ScenarioSpace {
     spec: SpaceSpec,
-    /// Base scenario; with gaps, these replace all positions but the leader's.
+    /// Base scenario. If `uses_gaps` is set, `position_m` of all vehicles but the first holds the gap ahead.
     template: ScenarioSpec,
     uses_gaps: bool,
     parameters: Vec<SpaceParameter>,

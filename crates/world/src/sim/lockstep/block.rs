@@ -103,7 +103,8 @@ impl<'a> LockstepBlock<'a> {
                 );
             }
         }
-        // Descending, because the last run takes the slot of one that ends. Of each run the foremost vehicle counts.
+        // Descending, because the last run takes the slot of one that ends. If several drivers of a run fail, the
+        // failure of the foremost vehicle is kept.
         failed.sort_by_key(|(lane, failed)| (std::cmp::Reverse(*lane), failed.vehicle));
         failed.dedup_by_key(|(lane, _)| *lane);
         for (lane, failed) in failed {

@@ -57,7 +57,7 @@ impl MultiBody {
         state[SPEED] = speed_mps;
         let [front_m, rear_m] = [axle_z(0, b_m), axle_z(1, a_m)];
         [state[AXLE_Z[0]], state[AXLE_Z[1]]] = [front_m, rear_m];
-        // The suspension carries its static load where it is not compressed.
+        // In the model, the suspension carries its static load at zero compression, so the body follows the axles.
         state[PITCH] = (rear_m - front_m) / (a_m + b_m);
         state[BODY_Z] = front_m + a_m * state[PITCH];
         WHEEL.iter().for_each(|&wheel| state[wheel] = speed_mps / body.wheel_radius_m);

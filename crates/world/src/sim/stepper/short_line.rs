@@ -1,4 +1,4 @@
-//! Fast path of [`Stepper::drive`] for two to four vehicles without lane changes and possible collisions.
+//! Fast path of [`Stepper::drive`] for two to four vehicles without lane changes or possible collisions.
 //!
 //! RL drives a thousand runs for ten steps each in turn. Here the motions stay in registers for all of these steps,
 //! which takes a third to a fifth of the time. Minimum gaps belong to summaries and are not updated.
