@@ -220,12 +220,11 @@ def tables(groups, passing, rate):
     every = groups["all"]
     reference, coasting = every[REFERENCE], every[COASTING]
     assisted = [
-        (text, arrow(one[HUMAN], one[ASSISTED], "ahead"), arrow(one[HUMAN], one[ASSISTED], "behind"),
-         signed(one[ASSISTED].change(one[HUMAN], "behind")),
-         *(share(count, one[HUMAN].count) for count in one[ASSISTED].only("behind", one[HUMAN])),
-         arrow(one[HUMAN], one[ASSISTED], "harm"),
-         signed(one[ASSISTED].change(one[HUMAN], "harm")))
-        for text, one in by_follower(groups)
+        (text, brake, arrow(one[HUMAN], one[name], "ahead"), arrow(one[HUMAN], one[name], "behind"),
+         signed(one[name].change(one[HUMAN], "behind")),
+         *(share(count, one[HUMAN].count) for count in one[name].only("behind", one[HUMAN])),
+         arrow(one[HUMAN], one[name], "harm"), signed(one[name].change(one[HUMAN], "harm")))
+        for text, one in by_follower(groups) for brake, name in (("1.4 s", ASSISTED), ("3 s", ASSISTED_EARLY))
     ]
     alone = [
         (text, brake, *(signed(one[name].change(one[before], what))
@@ -269,7 +268,7 @@ def tables(groups, passing, rate):
         for before, after in ((HUMAN, ASSISTED), (REFERENCE, EARLY), (COASTING, EARLY))
     ]
     return {
-        "assisted": table(["vehicle behind", "hits vehicle ahead, %: without → with brake",
+        "assisted": table(["vehicle behind", "brake from", "hits vehicle ahead, %: without → with brake",
                            "hit from behind, %: without → with", "change per 100", "caused, %", "prevented, %",
                            "seriously injured per 1000: without → with", "change per 1000"], assisted),
         "alone": table(["vehicle behind", "brake from", "hit from behind, change per 100: brakes after impact",
@@ -320,16 +319,18 @@ def statements(groups, passing):
     interval = lambda after, before, group: groups[group][after].change(groups[group][before], "harm")
     saves = all(interval(name, before, group)[2] < 0 for name in fixed for before in (REFERENCE, COASTING)
                 for group in ("human", "acc-aeb", "idm"))
-    adds = sum(all(interval(name, before, "baseline")[1] > 0 for before in (REFERENCE, COASTING)) for name in fixed)
+    adds = [sum(all(interval(name, before, "baseline")[1] > 0 for before in (REFERENCE, COASTING)) for name in names)
+            for names in (passed, failed)]
     spares = sum(all(interval(name, before, "baseline")[2] < 0 for before in (REFERENCE, COASTING)) for name in fixed)
     if not (collides and fewest and saves):
         sys.exit("error: a statement of the page does not hold")
     return [
         f"each of the {len(fixed)} brakes evaluated saves injuries in front of `human`, `acc-aeb` and `idm`",
-        f"{adds} of the {len(fixed)} add injuries with either reference, "
-        f"and {spares or 'none'} saves some with either",
-        f"in front of humans {mean(REFERENCE, 'human', 'behind')} per 100 if it brakes and "
-        f"{mean(COASTING, 'human', 'behind')} if it coasts",
+        f"{adds[0]} of the {len(passed)} that pass the modelled tests "
+        f"and {adds[1] or 'none'} of the {len(failed)} that "
+        f"fail add injuries with either reference; {spares or 'none'} saves some with either",
+        f"in front of humans {mean(REFERENCE, 'human', 'behind')} per 100 if the car without a brake brakes after its "
+        f"impact, {mean(COASTING, 'human', 'behind')} if it coasts on",
         f"{mean(REFERENCE, 'baseline', 'behind')} and {mean(COASTING, 'baseline', 'behind')} in front of `baseline`",
         f"{mean(REFERENCE, 'acc-aeb', 'behind')} and {mean(COASTING, 'acc-aeb', 'behind')} in front of `acc-aeb`",
         f"hits the vehicle ahead in {of(ASSISTED, 'ahead')} instead of {of(HUMAN, 'ahead')} % of the emergencies, and "
@@ -340,8 +341,7 @@ def statements(groups, passing):
         f"{change(HUMAN, ASSISTED, 'harm', 'above 62 mph')} above",
         f"{change(HUMAN, ASSISTED, 'harm', 'car')} per 1000 with a car behind and "
         f"{change(HUMAN, ASSISTED, 'harm', 'lorry')} with a lorry behind",
-        f"from 3 s instead of 1.4 s, it hits the vehicle ahead in {of(ASSISTED_EARLY, 'ahead')} %, is hit from behind "
-        f"in {of(ASSISTED_EARLY, 'behind')} % ({change(HUMAN, ASSISTED_EARLY, 'behind')} per 100), and injuries change "
+        f"From 3 s, it adds {change(HUMAN, ASSISTED_EARLY, 'behind')} collisions behind per 100, and injuries change "
         f"by {change(HUMAN, ASSISTED_EARLY, 'harm')} per 1000",
         f"Of the {len(fixed)} brakes without a driver evaluated, the {len(passed)} that pass change injuries by "
         f"{span(passed)} per 1000, the {len(failed)} that fail by {span(failed)}",
@@ -361,7 +361,8 @@ def statements(groups, passing):
         f"add {number(every[REFERENCE].change(every[COASTING], 'harm')[0])} to the last column",
         f"Speeds are {3.6 * slowest:.0f} to {3.6 * fastest:.0f} km/h "
         f"({slowest / MPH:.0f} to {fastest / MPH:.0f} mph)",
-        f"In {early_activations} of {len(early)} drives noise makes the first reference brake shortly before its impact",
+        f"In {early_activations} of {len(early)} drives noise makes the first reference brake shortly before its "
+        f"impact",
         f"`openpilot` has no activation in {silent.count - sum(silent.active)} drives",
     ]
 
