@@ -93,11 +93,8 @@ pub(crate) fn assess(
     let stop = StopFlag::default();
     let wrong = |error: &dyn std::fmt::Display| errors::exception(py, ExceptionClass::Assessment, &error.to_string());
     let own = controllers.iter().map(|one| controller::resolve_controller(one, &stop)).collect::<PyResult<Vec<_>>>()?;
-    let plan = match (&path, &toml, &json) {
-        (None, None, None) if own.is_empty() => AssessmentPlan::built_in(),
-        (Some(path), ..) if own.is_empty() => {
-            AssessmentPlan::load(path).map_err(|error| config_exception(py, &error))?
-        }
+    let plan = match &path {
+        Some(path) if own.is_empty() => AssessmentPlan::load(path).map_err(|error| config_exception(py, &error))?,
         _ => {
             let (config, folder) = read_config(py, path.as_deref(), toml, json)?;
             AssessmentPlan::new(config, own, &folder).map_err(|error| config_exception(py, &error))?

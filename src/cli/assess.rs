@@ -11,7 +11,7 @@ use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, progress, utc};
 use crumple_report::assessment::{
-    AssessmentPlan, ComparisonError, EarlierAssessment, EvidenceCache, REPORT_FOLDERS, REPORT_KIND, RunInfo, assess,
+    AssessmentPlan, EarlierAssessment, EvidenceCache, REPORT_FOLDERS, REPORT_KIND, RunInfo, assess,
 };
 use crumple_store::disk::DiskError;
 use crumple_store::program;
@@ -93,7 +93,7 @@ pub(super) const LISTING_FILE: &str = "report.sha256";
 impl Assess {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let plan = match &self.config {
-            None => AssessmentPlan::built_in(),
+            None => AssessmentPlan::built_in()?,
             Some(path) => {
                 let plan = AssessmentPlan::load(path)?;
                 let notes = plan.controllers().iter().flat_map(args::controller_notes);
@@ -218,14 +218,5 @@ fn run_info(folder: &Path, program_sha256: &str, took: Duration) -> RunInfo {
         program_sha256: program_sha256.to_owned(),
         machine: format!("{system} {processor}, {cores} cores{}", model.unwrap_or_default()),
         duration_s: took.as_secs(),
-    }
-}
-
-impl From<ComparisonError> for CliError {
-    fn from(error: ComparisonError) -> Self {
-        match error {
-            ComparisonError::Read { path, source } => Self::from_read_error(path, source),
-            other => Self::input(other),
-        }
     }
 }

@@ -27,9 +27,8 @@ class Texts(HTMLParser):
         self.open, self.texts = [], []
 
     def handle_starttag(self, tag, attributes):
-        is_left_out = tag in LEFT_OUT or "draw-controls" in (dict(attributes).get("class") or "")
         if tag not in VOID:
-            self.open.append((tag, is_left_out))
+            self.open.append((tag, tag in LEFT_OUT))
 
     def handle_endtag(self, tag):
         if tag not in VOID:

@@ -227,6 +227,6 @@ fn an_assessment_names_the_failed_controller_and_the_time() {
     assert!(assessment.to_markdown().contains("controller of 1 failed at 1.00 s: it answered with a number"));
     let drawn =
         assessment.rate_spaces.spaces[0].controllers.iter().find(|drawn| drawn.controller == "failing").unwrap();
-    assert_eq!((drawn.collisions, drawn.failures()), (0, 20), "all draws fail, and nobody touches");
+    assert_eq!((drawn.ends.collisions, drawn.ends.failures()), (0, 20), "all draws fail, and nobody touches");
     assert_eq!(drawn.mean_impact_speed_mps, None);
 }

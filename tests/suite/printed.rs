@@ -7,8 +7,8 @@ use std::process::Command;
 use crate::command_line::temp_folder;
 use crate::report::BUILT_IN_ASSESSMENT;
 
-/// Elements that are useless on paper: links and buttons.
-const NOT_PRINTED: [&str; 2] = ["nav", ".draw-controls"];
+/// Elements that are useless on paper: links.
+const NOT_PRINTED: [&str; 1] = ["nav"];
 
 /// Returns the print-only rules of a page's style, as selectors and declarations.
 fn print_rules(page: &str) -> Vec<(&str, &str)> {

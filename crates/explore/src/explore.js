@@ -272,10 +272,6 @@
         ),
       );
       byId('figures').innerHTML = drawn.figures;
-      byId('above').innerHTML = drawn.above;
-      byId('above')
-        .querySelectorAll('.draw-animation')
-        .forEach((block) => block.dispatchEvent(new Event('draw-animation', { bubbles: true })));
       // Screen readers announce the result only when the changes stop.
       clearTimeout(announcement);
       announcement = setTimeout(() => {

@@ -2,7 +2,7 @@
 
 use crumple_core::quoting::TerminalText;
 use crumple_report::PAGE_STYLE;
-use crumple_report::draw::{self, ANIMATION_SCRIPT, ANIMATION_STYLE};
+use crumple_report::draw;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::VehicleClass;
 use maud::{DOCTYPE, Markup, PreEscaped, html};
@@ -11,12 +11,10 @@ use serde_json::{Value, json};
 use crate::catalog::{Catalog, ExploreConfig};
 
 pub(crate) fn style_sheet() -> String {
-    [PAGE_STYLE, draw::STYLE, ANIMATION_STYLE, include_str!("explore.css")].concat()
+    [PAGE_STYLE, draw::STYLE, include_str!("explore.css")].concat()
 }
 
-pub(crate) fn script() -> String {
-    [ANIMATION_SCRIPT, include_str!("explore.js")].concat()
-}
+pub(crate) const SCRIPT: &str = include_str!("explore.js");
 
 pub(crate) fn scenario_page(offer: &Catalog) -> String {
     let classes = VehicleClass::ALL.iter().map(|one| {
@@ -75,7 +73,6 @@ pub(crate) fn scenario_page(offer: &Catalog) -> String {
                 p { button type="button" id="avoid" { "Is the collision avoidable?" } }
                 div id="avoided" aria-live="polite" {}
                 div id="figures" {}
-                div id="above" {}
             }
         }
     };

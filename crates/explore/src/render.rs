@@ -1,4 +1,4 @@
-//! Runs of a scenario on the page: verdicts, diagrams, top views, and slider positions.
+//! Runs of a scenario on the page: verdicts, diagrams, and slider positions.
 
 use crumple_core::quoting::{TerminalLines, TerminalText};
 use crumple_report::draw::{self, MotionAxes, MotionFigure, PanelArrangement, draw_motion_on_axes, vehicle_names};
@@ -19,8 +19,6 @@ pub(crate) struct RunResponse {
     runs: Vec<RunPanel>,
     /// Position, speed and gap diagrams, as SVG.
     figures: String,
-    #[serde(rename = "above")]
-    top_views: String,
     sliders: Sliders,
 }
 
@@ -75,7 +73,6 @@ pub(crate) fn run_and_render(mut request: RunRequest, offer: &Catalog) -> Result
     Ok(RunResponse {
         runs: runs.iter().map(|(controller, run)| render_panel(controller, &scenario, run)).collect(),
         figures: render_figures(&scenario, &runs, request.narrow),
-        top_views: render_top_views(&scenario, &runs),
         sliders: Sliders::new(&scenario),
     })
 }
@@ -136,17 +133,6 @@ fn render_figures(scenario: &Scenario, runs: &[(&NamedController, SimulationResu
                     prefix: &prefix, title: &controller.name, labels: &labels, trace, impacts: &run.impacts
                 };
                 (draw_motion_on_axes(&figure, &axes, layout))
-            }
-        }
-    };
-    TerminalLines(&drawn.into_string()).to_string()
-}
-
-fn render_top_views(scenario: &Scenario, runs: &[(&NamedController, SimulationResult)]) -> String {
-    let drawn = html! {
-        @for (index, (controller, run)) in runs.iter().enumerate() {
-            @if let Some(trace) = &run.trace {
-                (draw::draw_animation(&format!("above-{index}"), &controller.name, trace, scenario, &run.impacts))
             }
         }
     };

@@ -75,7 +75,9 @@ impl Application {
             ("", &Method::GET) => Ok(HttpResponse::new(HTML, page::scenario_page(&self.catalog))),
             ("campaigns", &Method::GET) => Ok(HttpResponse::new(HTML, page::campaigns_page(&self.catalog))),
             ("explore.css", &Method::GET) => Ok(HttpResponse::new("text/css; charset=utf-8", page::style_sheet())),
-            ("explore.js", &Method::GET) => Ok(HttpResponse::new("text/javascript; charset=utf-8", page::script())),
+            ("explore.js", &Method::GET) => {
+                Ok(HttpResponse::new("text/javascript; charset=utf-8", page::SCRIPT.to_owned()))
+            }
             ("" | "campaigns" | "explore.css" | "explore.js", _) => Err(RequestError::MethodNotAllowed("GET")),
             ("api/open", &Method::POST) => self.open(&parse_body(body)?),
             ("api/run", &Method::POST) => {

@@ -129,10 +129,6 @@ fn a_bad_configuration_or_recording_is_named_and_nothing_is_written() {
         ("version = 1\nrates = { confidence = 1.5 }\n", "error: a.toml:2: rates.confidence: must be between"),
         ("version = 1\ncertificates = [\"nowhere.json\"]\n", "error: a.toml:2: certificates[0]: nowhere.json: "),
         (
-            "version = 1\n[[gates]]\nrequire = \"no-contact-in-traffic\"\ncontroller = \"idm\"\n",
-            "error: a.toml:3: gates[0].require: `no-contact-in-traffic` is now called `no-collision-in-scenario-files`",
-        ),
-        (
             "version = 1\n[[gates]]\nrequire = \"proofs-accepted\"\n[[gates]]\nrequire = \"proofs-accepted\"\nspeed = \
              3\n",
             "error: a.toml:4: gates[1]: unknown field `speed`",
@@ -143,9 +139,6 @@ fn a_bad_configuration_or_recording_is_named_and_nothing_is_written() {
         fs::write(folder.path().join("a.toml"), config).unwrap();
         assert_refused(&run_crumple(folder.path(), "assess a.toml --out report"), expected);
     }
-    fs::write(folder.path().join("a.toml"), "version = 1\n[[gates]]\nrequire = \"luck\"\n").unwrap();
-    let listed = run_crumple(folder.path(), "assess a.toml --out report");
-    assert!(!stderr(&listed).contains("no-contact-in-traffic"), "{}", stderr(&listed));
     let truncated = platoon_csv();
     fs::write(folder.path().join("cut.csv"), &truncated[..truncated.len() - 12]).unwrap();
     fs::write(folder.path().join("empty.csv"), "").unwrap();

@@ -12,6 +12,7 @@ mod commands;
 mod config;
 mod document;
 mod gate;
+mod gate_evaluation;
 mod gather_context;
 mod junit;
 mod page;
@@ -20,6 +21,7 @@ mod plan;
 mod planned_suite;
 mod prose;
 mod rounded;
+mod run_ends;
 mod table;
 
 use crate::markdown;
@@ -38,20 +40,22 @@ pub use claims::{
 pub use commands::{CommandFile, CrumpleCommand};
 pub use config::{AssessConfig, AssessConfigError, CONFIG_VERSION, HarmConfig, RatesConfig, SearchConfig};
 pub use document::ReportDocument;
-pub use gate::{AssessmentGate, GateResult};
+pub use gate::AssessmentGate;
+pub use gate_evaluation::GateResult;
 pub use parts::{
     ACTIVATION_MPS2, Argument, AssessmentChange, AssessmentComparison, AssessmentLimits, AssessmentProvenance,
-    CertificateStatus, CertificateSubject, CheckedCertificate, ClaimRow, ClaimSummary, ComparisonError, ControllerHarm,
-    ControllerSample, ControllerUsefulness, DistinctFailure, EXAMPLE_MPS, EarlierAssessment, EscapeFile, FailureSearch,
-    FailureSearches, FileScenarios, FirstPage, Glossary, GsnElement, GsnElementKind, HarmGroup, HarmReport, KernelGap,
-    LimitingAssumption, MAX_EVIDENCE_BYTES, MethodResult, NameExplanation, PairedCounts, PaperScenarios,
-    ParameterDescription, PercentInterval, Proofs, RunInfo, SafetyAnswer, ScenarioCases, SpaceDescription,
-    SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches, StringStabilityVerdict, SuiteFailure, SuiteFindings,
-    SuiteOutcome, SuiteTest, Suites, UsefulnessReport,
+    CertificateStatus, CertificateSubject, CheckedCertificate, ClaimRow, ClaimSummary, ControllerHarm,
+    ControllerSample, ControllerUsefulness, DistinctFailure, EarlierAssessment, EscapeFile, FailureSearch,
+    FailureSearches, FileScenarios, FirstPage, Glossary, HarmGroup, HarmReport, LimitingAssumption, MAX_EVIDENCE_BYTES,
+    MethodResult, NameExplanation, PairedCounts, PaperScenarios, ParameterDescription, PercentInterval, Proofs,
+    RunInfo, SafetyAnswer, ScenarioCases, SpaceDescription, SpaceDescriptions, SpaceSample, SpaceSamples,
+    SpaceSearches, StringStabilityVerdict, SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites,
+    UsefulnessReport,
 };
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
 pub use rounded::Rounded;
+pub use run_ends::RunEnds;
 
 use crumple_core::observer::{Observer, ProgressCounter, RunProgress, Stopped};
 use crumple_evidence::{InvalidRate, RateError};
@@ -61,7 +65,6 @@ use crumple_suites::SuiteRunError;
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::{RefusedController, RunError};
 use gather_context::GatherContext;
-use parts::GatheredEvidence;
 
 /// Version of the JSON evidence that this release writes.
 pub const EVIDENCE_VERSION: u32 = 4;
@@ -116,8 +119,6 @@ pub struct AssessmentReport {
 
 /// One part of an assessment.
 pub trait ReportPart {
-    /// Returns the anchor of the part in the page, and its heading.
-    fn anchor_and_title(&self) -> (&'static str, String);
     /// Writes the part, without its heading.
     fn write(&self, out: &mut ReportDocument);
 
@@ -136,6 +137,27 @@ pub trait ReportPart {
         let mut document = ReportDocument::default();
         self.write(&mut document);
         document
+    }
+}
+
+/// A part of an assessment, with its heading and its anchor in the page.
+#[derive(Clone, Copy)]
+pub struct ReportSection<'a> {
+    /// Anchor in the page.
+    pub anchor: &'static str,
+    /// Heading.
+    pub title: &'static str,
+    /// Part below the heading.
+    pub part: &'a dyn ReportPart,
+}
+
+impl<'a> ReportSection<'a> {
+    fn new(anchor: &'static str, title: &'static str, part: &'a dyn ReportPart) -> Self {
+        Self { anchor, title, part }
+    }
+
+    fn optional(anchor: &'static str, title: &'static str, part: Option<&'a impl ReportPart>) -> Option<Self> {
+        part.map(|part| Self::new(anchor, title, part))
     }
 }
 
@@ -216,29 +238,17 @@ pub fn assess(
     let scenarios = scenarios.chain(traffic.iter().flat_map(|traffic| &traffic.scenarios));
     let proofs = Proofs::gather(&work, scenarios)?;
     work.ensure_all_trusted()?;
-    let limits = AssessmentLimits::new(plan);
-    let found = GatheredEvidence {
-        paper: paper_scenarios.as_ref(),
-        rate_spaces: &rate_spaces,
-        traffic: traffic.as_ref(),
-        suites: suites.as_ref(),
-        searches: &searches,
-        usefulness: usefulness.as_ref(),
-        proofs: &proofs,
-    };
-    let evidence = found.collect_ledger(plan);
-    let summary = ClaimSummary::new(plan, &found, &evidence);
-    let first_page = FirstPage::new(plan, &summary, &found, &limits);
-    let argument = Argument::new(plan, &summary, &limits);
     let mut assessment = AssessmentReport {
         version: EVIDENCE_VERSION,
         provenance: AssessmentProvenance::new(plan, cache),
         comparison: None,
-        space_descriptions: SpaceDescriptions::new(plan, usefulness.as_ref()),
+        space_descriptions: SpaceDescriptions::new(plan),
         command_files: plan.command_files()?,
-        first_page,
-        summary,
-        evidence,
+        // These depend on the other parts.
+        evidence: Ledger::default(),
+        summary: ClaimSummary::default(),
+        first_page: FirstPage::default(),
+        argument: Argument::default(),
         paper_scenarios,
         rate_spaces,
         harm,
@@ -247,9 +257,12 @@ pub fn assess(
         searches,
         usefulness,
         proofs,
-        limits,
-        argument,
+        limits: AssessmentLimits::new(plan),
     };
+    assessment.evidence = assessment.collect_ledger(plan);
+    assessment.summary = ClaimSummary::new(plan, &assessment);
+    assessment.first_page = FirstPage::new(plan, &assessment);
+    assessment.argument = Argument::new(plan, &assessment.summary, &assessment.limits);
     assessment.comparison = against.and_then(|earlier| AssessmentComparison::new(earlier, &assessment));
     // Gates come last: they evaluate all other results.
     let gates: Vec<_> = plan.config.gates.iter().map(|gate| gate.evaluate(plan, &assessment)).collect();
@@ -277,6 +290,18 @@ impl AssessmentPlan {
 }
 
 impl AssessmentReport {
+    fn collect_ledger(&self, plan: &AssessmentPlan) -> Ledger {
+        let mut all = Vec::new();
+        all.extend(self.paper_scenarios.iter().flat_map(|part| part.evidence(plan)));
+        all.extend(self.rate_spaces.evidence(plan));
+        all.extend(self.file_scenarios.iter().flat_map(|part| part.evidence(plan)));
+        all.extend(self.suites.iter().flat_map(|part| part.evidence(plan)));
+        all.extend(self.searches.evidence(plan));
+        all.extend(self.usefulness.iter().flat_map(|part| part.evidence(plan)));
+        all.extend(self.proofs.evidence(plan));
+        Ledger::new(all)
+    }
+
     /// Adds the time, program and machine of the assessment.
     #[must_use]
     pub fn with_run_info(mut self, made: RunInfo) -> Self {
@@ -286,25 +311,35 @@ impl AssessmentReport {
 
     /// Returns the parts in the order of the report, without the appendix.
     #[must_use]
-    pub fn parts(&self) -> Vec<&dyn ReportPart> {
-        let mut parts: Vec<&dyn ReportPart> = vec![&self.first_page, &self.summary];
-        parts.extend(self.comparison.as_ref().map(|comparison| comparison as &dyn ReportPart));
-        parts.extend(self.paper_scenarios.as_ref().map(|paper| paper as &dyn ReportPart));
-        parts.extend(self.file_scenarios.as_ref().map(|traffic| traffic as &dyn ReportPart));
-        parts.extend(self.suites.as_ref().map(|suites| suites as &dyn ReportPart));
-        let (is_drawn, is_searched) = (!self.rate_spaces.spaces.is_empty(), !self.searches.spaces.is_empty());
-        parts.extend(is_drawn.then_some(&self.rate_spaces as &dyn ReportPart));
-        parts.extend(self.harm.as_ref().map(|harm| harm as &dyn ReportPart));
-        parts.extend(is_searched.then_some(&self.searches as &dyn ReportPart));
-        parts.extend(self.usefulness.as_ref().map(|usefulness| usefulness as &dyn ReportPart));
-        parts.extend([&self.proofs as &dyn ReportPart, &self.limits]);
-        parts
+    pub fn parts(&self) -> Vec<ReportSection<'_>> {
+        let rate_spaces = Some(&self.rate_spaces).filter(|drawn| !drawn.spaces.is_empty());
+        let searches = Some(&self.searches).filter(|searches| !searches.spaces.is_empty());
+        let harm = "Collisions ahead avoided, collisions behind caused, and harm";
+        let parts = [
+            ReportSection::optional("answer", "Result", Some(&self.first_page)),
+            ReportSection::optional("verdict", "Claims", Some(&self.summary)),
+            ReportSection::optional("changes", "Changes since the earlier assessment", self.comparison.as_ref()),
+            ReportSection::optional("paper", "The paper's scenarios", self.paper_scenarios.as_ref()),
+            ReportSection::optional("traffic", "Scenario files and recordings", self.file_scenarios.as_ref()),
+            ReportSection::optional("suites", "Tests modelled on regulations", self.suites.as_ref()),
+            ReportSection::optional("distribution", "Collision rates", rate_spaces),
+            ReportSection::optional("harm", harm, self.harm.as_ref()),
+            ReportSection::optional("search", "Counterexamples found by search", searches),
+            ReportSection::optional("usefulness", "Comfort and unnecessary braking", self.usefulness.as_ref()),
+            ReportSection::optional("proofs", "Proofs", Some(&self.proofs)),
+            ReportSection::optional("limits", "Limits", Some(&self.limits)),
+        ];
+        parts.into_iter().flatten().collect()
     }
 
     /// Returns the parts of the appendix.
     #[must_use]
-    pub fn appendix(&self) -> Vec<&dyn ReportPart> {
-        vec![&self.space_descriptions, &Glossary, &self.provenance]
+    pub fn appendix(&self) -> Vec<ReportSection<'_>> {
+        vec![
+            ReportSection::new("domain", "Scenario spaces", &self.space_descriptions),
+            ReportSection::new("glossary", "Glossary", &Glossary),
+            ReportSection::new("provenance", "Provenance", &self.provenance),
+        ]
     }
 
     /// Returns the report as one self-contained HTML page.
@@ -346,7 +381,7 @@ impl AssessmentReport {
             ("assessment.gsn.yaml".to_owned(), self.argument.to_yaml()),
             ("replay.sh".to_owned(), commands::replay_script(self.commands())),
         ];
-        texts.extend(self.harm.iter().map(|harm| ("runs.csv".to_owned(), harm.runs_csv().to_owned())));
+        texts.extend(self.harm.iter().map(|harm| ("runs.csv".to_owned(), harm.runs_csv.clone())));
         let figures = self.paper_scenarios.iter().flat_map(PaperScenarios::figure_files);
         texts.extend(figures.map(|(name, svg)| (name, svg.document())));
         texts.extend(self.proofs.certificates.iter().map(|proof| (proof.file.clone(), proof.text.clone())));

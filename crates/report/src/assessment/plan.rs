@@ -1,5 +1,6 @@
 //! A valid configuration with everything that it names.
 
+use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -8,8 +9,8 @@ use serde_json::{Value, json};
 
 use super::claims::{ContentId, Subject};
 use super::config::{AssessConfig, AssessConfigError, CONFIG_VERSION};
-use super::gate::{AssessmentGate, explain_former_name};
-use super::parts;
+use super::gate::AssessmentGate;
+use super::parts::{self, EVERYDAY_SPACES};
 use super::planned_suite::PlannedSuite;
 use crumple_core::digest::sha256;
 use crumple_world::control::ControllerSpec;
@@ -86,25 +87,11 @@ const SHIPPED_CERTIFICATES: [(&str, &str); 2] = [
 
 impl AssessmentPlan {
     /// Returns the plan of the built-in assessment.
-    #[must_use]
-    pub fn built_in() -> Self {
-        let config = AssessConfig::default();
-        let controllers: Vec<_> =
-            config.controllers.iter().filter_map(|name| NamedController::find(name, Path::new("")).ok()).collect();
-        let known = |names: &[String]| {
-            names.iter().filter_map(|name| NamedSpace::new(name, built_in_space(name)?).ok()).collect::<Vec<_>>()
-        };
-        Self {
-            subject_index: default_subject(&controllers),
-            file_scenarios: Vec::new(),
-            left_out: Vec::new(),
-            suites: Vec::new(),
-            rate_spaces: known(&config.rate_spaces()),
-            search_spaces: known(&config.search_spaces()),
-            certificates: shipped_certificates(&controllers),
-            config,
-            controllers,
-        }
+    ///
+    /// # Errors
+    /// None in practice: the built-in configuration is valid.
+    pub fn built_in() -> Result<Self, AssessConfigError> {
+        Self::new(AssessConfig::default(), [], Path::new(""))
     }
 
     /// Creates a plan with additional controllers. The safety case is about the first of them, unless the configuration
@@ -134,10 +121,20 @@ impl AssessmentPlan {
     /// [`AssessConfigError`] for a file that cannot be read or parsed, or is invalid.
     pub fn load(path: &Path) -> Result<Self, AssessConfigError> {
         let text = file::read(path)?;
-        let config: AssessConfig = file::parse_toml(&text, path).map_err(explain_former_name)?;
+        let config: AssessConfig = file::parse_toml(&text, path)?;
         let loading = PlanLoader { path, text: &text, folder: path.parent().unwrap_or(Path::new("")) };
         let controllers = loading.load_controllers(&config)?;
         loading.build_plan(config, controllers)
+    }
+
+    /// Returns each scenario space of the assessment once.
+    pub(super) fn all_spaces(&self) -> Vec<ScenarioSpace> {
+        let everyday = EVERYDAY_SPACES.iter().filter(|_| self.config.everyday_draws > 0);
+        let own = self.rate_spaces.iter().chain(&self.search_spaces).map(|named| named.space.clone());
+        let mut all: Vec<_> = own.chain(everyday.filter_map(|name| built_in_space(name))).collect();
+        let mut names = BTreeSet::new();
+        all.retain(|space| names.insert(space.name().to_owned()));
+        all
     }
 
     /// True if a gate needs an earlier assessment to compare with.

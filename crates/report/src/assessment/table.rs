@@ -81,20 +81,19 @@ impl ReportTable {
         Self { header: header.iter().map(|&name| name.to_owned()).collect(), rows: Vec::new() }
     }
 
+    /// Builds a table with a row for each item.
     pub(super) fn from_items<T>(items: impl IntoIterator<Item = T>, columns: &[ReportColumn<'_, T>]) -> Self {
-        Self::from_items_without(items, columns, None)
+        let mut table = Self::new(&columns.iter().map(|(name, _)| *name).collect::<Vec<_>>());
+        items.into_iter().for_each(|item| table.push_row(columns.iter().map(|(_, cell)| cell(&item)).collect()));
+        table
     }
 
-    /// Builds a table with a row for each item, and omits one column.
-    pub(super) fn from_items_without<T>(
-        items: impl IntoIterator<Item = T>,
-        columns: &[ReportColumn<'_, T>],
-        left_out: Option<usize>,
-    ) -> Self {
-        let columns = || columns.iter().enumerate().filter(|(place, _)| Some(*place) != left_out).map(|(_, one)| one);
-        let mut table = Self::new(&columns().map(|(name, _)| *name).collect::<Vec<_>>());
-        items.into_iter().for_each(|item| table.push_row(columns().map(|(_, cell)| cell(&item)).collect()));
-        table
+    pub(super) fn without_column(mut self, column: Option<usize>) -> Self {
+        if let Some(column) = column {
+            self.header.remove(column);
+            self.rows.iter_mut().for_each(|row| drop(row.remove(column)));
+        }
+        self
     }
 
     pub(super) fn is_empty(&self) -> bool {

@@ -1,15 +1,12 @@
 //! Figures from typed data: SVG for pages and print, PNG for other uses.
 //!
 //! A [`Panel`] is one chart: axes, and lines, bands, bars, markers and labels in the units of the data. [`draw_motion`]
-//! combines three of them into the paper's time-space, time-speed and spacing diagrams, and [`draw_animation`] shows
-//! the run from above.
+//! combines three of them into the paper's time-space, time-speed and spacing diagrams.
 //!
 //! A figure has its light colours as plain attributes and is complete by itself; in a page with [`STYLE`] it follows
 //! the reader's colour scheme (see [`Ink`]). Colour is never the only carrier of meaning. Equal data give equal bytes:
 //! figures contain no clock, random identifier or system font.
 
-mod animation;
-mod animation_data;
 mod axis;
 mod cells;
 mod closeup;
@@ -28,7 +25,6 @@ mod vehicle_names;
 
 use maud::{Markup, PreEscaped, html};
 
-pub use animation::{ANIMATION_SCRIPT, ANIMATION_STYLE, draw_animation};
 pub use axis::{Axis, BOTTOM_MARGIN, LEFT_MARGIN};
 pub use cells::{CellStyle, draw_cells, draw_legend};
 pub use label::{PixelRect, text_width};

@@ -217,26 +217,3 @@ fn runs_beside_each_other_are_drawn_on_the_same_axes() {
     let page = draw_motions_side_by_side(&figures).into_string();
     assert_eq!(page.matches("<svg").count(), 4);
 }
-
-#[test]
-fn an_animation_shows_the_end_without_its_script_and_shares_no_identifier() {
-    let scenario = built_in_scenario("paper-2").unwrap();
-    let options = RunOptions::new(ControllerSpec::from_name("baseline").unwrap());
-    let simulated = simulate(&Run::new(&scenario, options).unwrap(), RecordingLevel::Trace);
-    let (trace, impacts) = (simulated.trace.unwrap(), simulated.impacts);
-    let block = |id| draw_animation(id, "a </script> title", &trace, &scenario, &impacts).into_string();
-    let text = block("a") + &block("b");
-    let Contact { time_s, front_vehicle, rear_vehicle, impact_speed_mps, .. } = impacts[0].contact;
-    assert!(text.contains(&format!("{rear_vehicle} hits {front_vehicle} at {time_s:.2} s, {impact_speed_mps:.1} m/s")));
-    for track in &trace.vehicles {
-        assert!(text.contains(&format!("<td class=\"number\">{:.1}</td>", track.speed_mps.last().unwrap())));
-    }
-    assert_eq!(text.matches("<script").count(), 2);
-    assert_eq!(text.matches("</script>").count(), 2);
-
-    check_identifiers(&text);
-    // The drawing has the classes that the script looks for.
-    for name in ["draw-view", "draw-lane", "draw-vehicle", "draw-gap", "draw-impact", "draw-brake", "draw-event"] {
-        assert!(text.contains(name) && ANIMATION_SCRIPT.contains(name), "{name}");
-    }
-}

@@ -3,19 +3,20 @@
 use maud::html;
 use serde::Serialize;
 
+use super::ScenarioCases;
 use super::certificates::describe_estimator;
-use super::{AssessmentLimits, ClaimSummary, GatheredEvidence, ScenarioCases};
-use crate::assessment::claims::{AssuranceClaim, ClaimStatus, InferenceRule, Property, Strength};
+use super::summary::SubjectClaim;
+use crate::assessment::claims::{InferenceRule, Property, Strength};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
 use crate::assessment::prose::prose_to_html;
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessmentPlan, GateResult, ReportPart};
+use crate::assessment::{AssessmentPlan, AssessmentReport, GateResult, ReportPart};
 use crate::draw::Svg;
 use crumple_core::quoting::TerminalText;
 
 /// The answer to the question of whether the subject collides.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize)]
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 #[serde(rename_all = "snake_case")]
 #[non_exhaustive]
@@ -25,11 +26,12 @@ pub enum SafetyAnswer {
     /// No run failed, and bounds or proofs cover the domains considered.
     SafeInDomain,
     /// No run failed and nothing more is known, or the evidence is contradictory.
+    #[default]
     Undecided,
 }
 
 /// The first page of a report.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct FirstPage {
     /// Question in words.
@@ -60,42 +62,25 @@ pub struct FirstPage {
 const MAX_FAILURES_SHOWN: usize = 3;
 
 impl FirstPage {
-    pub(in crate::assessment) fn new(
-        plan: &AssessmentPlan,
-        summary: &ClaimSummary,
-        found: &GatheredEvidence<'_>,
-        limits: &AssessmentLimits,
-    ) -> Self {
+    pub(in crate::assessment) fn new(plan: &AssessmentPlan, found: &AssessmentReport) -> Self {
         let subject = plan.subject().map_or("", |controller| controller.name.as_str());
-        let mut claims: Vec<(&str, &AssuranceClaim, &ClaimStatus)> = Vec::new();
-        for row in &summary.claims {
-            if let (Some(Some(claim)), Some(status)) =
-                (row.claims.get(plan.subject_index), row.statuses.get(plan.subject_index))
-            {
-                claims.push((&row.claim, claim, status));
-            }
-        }
+        let mut claims = found.summary.claims_about(plan.subject_index);
         // The strongest first: a refutation outweighs everything.
-        claims.sort_by(|a, b| b.2.strength.weight().total_cmp(&a.2.strength.weight()));
-        let chosen = |wanted: &dyn Fn(&ClaimStatus) -> bool| -> Vec<(&str, &AssuranceClaim, &ClaimStatus)> {
-            claims.iter().copied().filter(|(_, _, status)| wanted(status)).collect()
-        };
+        claims.sort_by(|a, b| b.status.strength.weight().total_cmp(&a.status.strength.weight()));
         // Omit claims that are refuted only because a part of them is: the part is listed.
-        let against: Vec<_> = chosen(&|status| {
-            (status.strength.is_refutation() && status.rule != Some(InferenceRule::RefutedInPart))
-                || matches!(status.strength, Strength::Contradicted | Strength::Unanswered { .. })
-        });
-        let against: Vec<String> =
-            against.into_iter().map(|(words, claim, status)| describe_refutation(words, claim, status)).collect();
-        let speaks_for = chosen(&|status| {
-            status.strength.is_assurance()
-                || matches!(status.strength, Strength::Tested { .. } | Strength::PartlyProved { .. })
-        });
-        let describe = |(words, _, status): (&str, _, &ClaimStatus)| format!("{words}: {}", status.strength.describe());
-        let speaks_for = speaks_for.into_iter().map(describe).collect();
-        let answer = SafetyAnswer::new(plan, &claims);
-        let comparison = describe_comparison(plan, &claims);
-        let answer_text = format!("{} {comparison}", answer.describe(plan, subject, &claims, &against));
+        let speaks_against = |one: &&SubjectClaim<'_>| {
+            (one.status.strength.is_refutation() && one.status.rule != Some(InferenceRule::RefutedInPart))
+                || matches!(one.status.strength, Strength::Contradicted | Strength::Unanswered { .. })
+        };
+        let against: Vec<String> = claims.iter().filter(speaks_against).map(describe_refutation).collect();
+        let speaks_for = |one: &&SubjectClaim<'_>| {
+            one.status.strength.is_assurance()
+                || matches!(one.status.strength, Strength::Tested { .. } | Strength::PartlyProved { .. })
+        };
+        let describe = |one: &SubjectClaim<'_>| format!("{}: {}", one.row.claim, one.status.strength.describe());
+        let speaks_for = claims.iter().filter(speaks_for).map(describe).collect();
+        let (answer, answer_text) = SafetyAnswer::new(plan, subject, &claims, &against);
+        let answer_text = format!("{answer_text} {}", describe_comparison(plan, &claims));
         let compared = match plan.controllers.first() {
             Some(first) if plan.subject_index != 0 => format!(", and is it safer than `{}`", first.name),
             _ => String::new(),
@@ -110,12 +95,12 @@ impl FirstPage {
             answer_text: answer_text.trim_end().to_owned(),
             against,
             speaks_for,
-            assumed: limits.assumptions.iter().map(|limit| limit.assumed).collect(),
+            assumed: found.limits.assumptions.iter().map(|limit| limit.assumed).collect(),
             // Filled in later, because gates evaluate all other parts.
             gates: Vec::new(),
-            comparison: summary.comparison_table(plan.subject_index),
+            comparison: found.summary.comparison_table(plan.subject_index),
             worst_failures: found.searches.worst_failures(subject, MAX_FAILURES_SHOWN),
-            both_sides: found.usefulness.map(|usefulness| {
+            both_sides: found.usefulness.as_ref().map(|usefulness| {
                 (usefulness.both_sides_table(), usefulness.both_sides_note(), usefulness.figure("both-sides"))
             }),
         }
@@ -123,12 +108,12 @@ impl FirstPage {
 }
 
 /// Returns a sentence on failing less often than the first controller; empty if the subject is the first.
-fn describe_comparison(plan: &AssessmentPlan, claims: &[(&str, &AssuranceClaim, &ClaimStatus)]) -> String {
+fn describe_comparison(plan: &AssessmentPlan, claims: &[SubjectClaim<'_>]) -> String {
     let Some(first) = plan.controllers.first().filter(|_| plan.subject_index != 0) else { return String::new() };
-    let compared = claims.iter().filter(|(_, claim, _)| matches!(claim.property, Property::FailsLessOften { .. }));
-    let shown: Vec<_> =
-        compared.filter(|(.., status)| status.strength.is_assurance()).map(|(_, claim, _)| claim).collect();
-    let spaces: Vec<_> = shown.iter().map(|claim| claim.describe_domain()).collect();
+    let is_shown = |one: &&SubjectClaim<'_>| {
+        matches!(one.claim.property, Property::FailsLessOften { .. }) && one.status.strength.is_assurance()
+    };
+    let spaces: Vec<_> = claims.iter().filter(is_shown).map(|one| one.claim.describe_domain()).collect();
     match spaces.as_slice() {
         [] => format!("It is not shown to fail less often than `{}`.", first.name),
         spaces => format!(
@@ -139,13 +124,8 @@ fn describe_comparison(plan: &AssessmentPlan, claims: &[(&str, &AssuranceClaim, 
     }
 }
 
-fn is_relevant_claim(plan: &AssessmentPlan, claim: &AssuranceClaim) -> bool {
-    matches!(claim.property, Property::NoContact | Property::RateAtMost { .. })
-        && claim.subject.estimator == plan.config.estimator
-}
-
 /// Describes a claim that does not hold: the violation first, then its frequency.
-fn describe_refutation(words: &str, claim: &AssuranceClaim, status: &ClaimStatus) -> String {
+fn describe_refutation(SubjectClaim { row, claim, status }: &SubjectClaim<'_>) -> String {
     let (domain, strength) = (claim.describe_domain(), status.strength.describe());
     match status.strength {
         // No violation occurred; the controller only failed to answer.
@@ -153,67 +133,41 @@ fn describe_refutation(words: &str, claim: &AssuranceClaim, status: &ClaimStatus
         _ if status.strength.is_refutation() => {
             format!("{} {domain}: {strength}", claim.property.describe_violation())
         }
-        _ => format!("{words}: {strength}"),
+        _ => format!("{}: {strength}", row.claim),
     }
 }
 
 impl SafetyAnswer {
-    /// Derives the answer. A failed run outweighs all other evidence; claims of another estimator or only the leader do
-    /// not count.
-    fn new(plan: &AssessmentPlan, claims: &[(&str, &AssuranceClaim, &ClaimStatus)]) -> Self {
-        let about = claims.iter().filter(|(_, claim, _)| is_relevant_claim(plan, claim));
-        let about: Vec<_> = about.map(|(.., status)| *status).collect();
-        let refutes = |status: &&ClaimStatus| {
-            status.strength.is_refutation() || status.secondary.iter().any(|beside| beside.strength.is_refutation())
+    /// Derives the answer, and describes it with its domain and strength, so that it can be quoted alone. A failed run
+    /// outweighs all other evidence; claims of another estimator or only the leader do not count.
+    fn new(plan: &AssessmentPlan, subject: &str, claims: &[SubjectClaim<'_>], against: &[String]) -> (Self, String) {
+        let is_relevant = |one: &&SubjectClaim<'_>| {
+            matches!(one.claim.property, Property::NoContact | Property::RateAtMost { .. })
+                && one.claim.subject.estimator == plan.config.estimator
         };
-        if about.iter().any(refutes) {
-            Self::NotSafe
-        } else if about.iter().any(|status| status.strength == Strength::Contradicted) {
-            Self::Undecided
-        } else if about.iter().any(|status| status.strength.is_assurance()) {
-            Self::SafeInDomain
+        let about: Vec<_> = claims.iter().filter(is_relevant).collect();
+        let is_refuted = |one: &&SubjectClaim<'_>| one.status.strength.is_refutation();
+        let is_refuted_beside =
+            |one: &&SubjectClaim<'_>| one.status.secondary.iter().any(|beside| beside.strength.is_refutation());
+        let besides = against.first().map_or(String::new(), |first| format!(" Evidence against it: {first}."));
+        let assured = about.iter().filter(|one| one.status.strength.is_assurance());
+        let assured: Vec<_> =
+            assured.map(|one| format!("{} ({})", one.row.claim, one.status.strength.describe())).collect();
+        if about.iter().any(|one| is_refuted(one) || is_refuted_beside(one)) {
+            let mut refuted = about.iter().copied().filter(is_refuted);
+            let why = refuted.find(|one| one.status.rule != Some(InferenceRule::RefutedInPart));
+            let why = why.map_or_else(|| "a failed run in a part of a domain".to_owned(), describe_refutation);
+            (Self::NotSafe, format!("Not safe. Main evidence against `{subject}`: {why}."))
+        } else if assured.is_empty() || about.iter().any(|one| one.status.strength == Strength::Contradicted) {
+            let words = format!("no result of this report bounds the failure rate of `{subject}`");
+            (Self::Undecided, format!("Undecided: {words}.{besides}"))
         } else {
-            Self::Undecided
-        }
-    }
-
-    /// Describes the answer with its domain and strength, so that it can be quoted alone.
-    fn describe(
-        self,
-        plan: &AssessmentPlan,
-        subject: &str,
-        claims: &[(&str, &AssuranceClaim, &ClaimStatus)],
-        against: &[String],
-    ) -> String {
-        let besides = || against.first().map_or(String::new(), |first| format!(" Evidence against it: {first}."));
-        match self {
-            Self::NotSafe => {
-                let is_why = |(_, claim, status): &&(&str, &AssuranceClaim, &ClaimStatus)| {
-                    is_relevant_claim(plan, claim)
-                        && status.strength.is_refutation()
-                        && status.rule != Some(InferenceRule::RefutedInPart)
-                };
-                let why =
-                    claims.iter().find(is_why).map(|(words, claim, status)| describe_refutation(words, claim, status));
-                let why = why.unwrap_or_else(|| "a failed run in a part of a domain".to_owned());
-                format!("Not safe. Main evidence against `{subject}`: {why}.")
-            }
-            Self::SafeInDomain => {
-                let assured = claims
-                    .iter()
-                    .filter(|(_, claim, status)| is_relevant_claim(plan, claim) && status.strength.is_assurance());
-                let assured: Vec<_> =
-                    assured.map(|(words, _, status)| format!("{words} ({})", status.strength.describe())).collect();
-                format!(
-                    "Safe in the examined domains: no run of `{subject}` failed, and the report shows: {}. Nothing is \
-                     known about other situations.{}",
-                    assured.join("; "),
-                    besides()
-                )
-            }
-            Self::Undecided => {
-                format!("Undecided: no result of this report bounds the failure rate of `{subject}`.{}", besides())
-            }
+            let words = format!(
+                "Safe in the examined domains: no run of `{subject}` failed, and the report shows: {}. Nothing is \
+                 known about other situations.{besides}",
+                assured.join("; ")
+            );
+            (Self::SafeInDomain, words)
         }
     }
 
@@ -275,10 +229,6 @@ const COMPARISON_NOTE: &str = "A cell counts the runs that fail or the distinct 
 const GATES_NOTE: &str = "The configuration sets the gates, and they alone decide the exit code.";
 
 impl ReportPart for FirstPage {
-    fn anchor_and_title(&self) -> (&'static str, String) {
-        ("answer", "Result".to_owned())
-    }
-
     fn write(&self, out: &mut ReportDocument) {
         out.push_html(html! { p class=(self.answer.css_class()) { (prose_to_html(&self.answer_text)) } });
         out.markdown_mut().paragraph(self.answer_text.as_str());

@@ -6,90 +6,51 @@
 use std::fmt::Write;
 
 use super::certificates::describe_estimator;
-use super::{AssessmentLimits, ClaimRow, ClaimSummary};
+use super::summary::SubjectClaim;
+use super::{AssessmentLimits, ClaimSummary};
 use crate::assessment::AssessmentPlan;
-use crate::assessment::claims::{AssuranceClaim, ClaimStatus, Property, Strength};
+use crate::assessment::claims::{Property, Strength};
 use crate::assessment::table::CellMark;
 use crumple_core::quoting::TerminalText;
 
-/// The safety case, with elements in the order of their numbers.
-#[derive(Debug, Clone, PartialEq, Eq)]
+/// Prefixes of identifiers, which state the kind of an element.
+const GOAL: &str = "G";
+const STRATEGY: &str = "S";
+const SOLUTION: &str = "Sn";
+const CONTEXT: &str = "C";
+const ASSUMPTION: &str = "A";
+
+/// The safety case: elements in the order of their numbers, the top goal first.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Argument {
-    /// Elements; the first one is the top goal.
-    pub elements: Vec<GsnElement>,
-}
-
-/// One element of the notation.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct GsnElement {
-    /// Identifier, whose letters state the kind.
-    pub id: String,
-    /// Kind of the element.
-    pub kind: GsnElementKind,
-    /// Statement of the element.
-    pub text: String,
-    /// Identifiers of the supporting elements.
-    pub supported_by: Vec<String>,
-    /// Identifiers of the contexts and assumptions.
-    pub in_context_of: Vec<String>,
-    /// Identifier of the challenged element, if any.
-    pub challenges: Option<String>,
-    /// True if a challenge has defeated the element.
-    pub defeated: bool,
-    /// True if no element supports it yet.
-    pub undeveloped: bool,
-    /// Location of the evidence, relative to the report folder.
-    pub url: Option<String>,
-}
-
-/// The kind of an element.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-#[non_exhaustive]
-pub enum GsnElementKind {
-    /// A claim.
-    Goal,
-    /// An inference from claims to a claim.
-    Strategy,
-    /// Evidence.
-    Solution,
-    /// The context of the argument.
-    Context,
-    /// An assumption.
-    Assumption,
-}
-
-impl GsnElementKind {
-    fn prefix(self) -> &'static str {
-        match self {
-            Self::Goal => "G",
-            Self::Strategy => "S",
-            Self::Solution => "Sn",
-            Self::Context => "C",
-            Self::Assumption => "A",
-        }
-    }
-}
-
-#[derive(Default)]
-struct ArgumentBuilder {
     elements: Vec<GsnElement>,
 }
 
-impl ArgumentBuilder {
-    fn add(&mut self, kind: GsnElementKind, text: impl Into<String>) -> String {
-        let number = 1 + self.elements.iter().filter(|element| element.kind == kind).count();
-        let id = format!("{}{number}", kind.prefix());
-        self.elements.push(GsnElement {
-            id: id.clone(),
-            kind,
-            text: text.into(),
-            supported_by: Vec::new(),
-            in_context_of: Vec::new(),
-            challenges: None,
-            defeated: false,
-            undeveloped: false,
-            url: None,
-        });
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+struct GsnElement {
+    id: String,
+    text: String,
+    /// Identifiers of the supporting elements.
+    supported_by: Vec<String>,
+    /// Identifiers of the contexts and assumptions.
+    in_context_of: Vec<String>,
+    /// Identifier of the challenged element, if any.
+    challenges: Option<String>,
+    /// True if a challenge has defeated the element.
+    defeated: bool,
+    /// True if no element supports it yet.
+    undeveloped: bool,
+    /// Location of the evidence, relative to the report folder.
+    url: Option<String>,
+}
+
+impl Argument {
+    fn add(&mut self, prefix: &str, text: impl Into<String>) -> String {
+        let kind =
+            |element: &GsnElement| element.id.trim_end_matches(|letter: char| letter.is_ascii_digit()).to_owned();
+        let number = 1 + self.elements.iter().filter(|element| kind(element) == prefix).count();
+        let id = format!("{prefix}{number}");
+        self.elements.push(GsnElement { id: id.clone(), text: text.into(), ..GsnElement::default() });
         id
     }
 
@@ -103,16 +64,16 @@ impl ArgumentBuilder {
         self.update(id, |element| element.supported_by.push(by));
     }
 
-    fn add_claim(&mut self, strategy: &str, proposition: &Proposition<'_>) {
-        let goal = self.add(GsnElementKind::Goal, proposition.text());
+    fn add_claim(&mut self, strategy: &str, stated: &SubjectClaim<'_>) {
+        let goal = self.add(GOAL, state_claim(stated));
         self.add_support(strategy, goal.clone());
-        let strength = &proposition.status.strength;
+        let strength = &stated.status.strength;
         match strength.mark() {
-            _ if matches!(strength, Strength::PartlyProved { .. }) => self.add_solution(&goal, proposition),
-            CellMark::Good => self.add_solution(&goal, proposition),
+            _ if matches!(strength, Strength::PartlyProved { .. }) => self.add_solution(&goal, stated),
+            CellMark::Good => self.add_solution(&goal, stated),
             CellMark::Bad => {
-                let counter = self.add(GsnElementKind::Goal, format!("Refuted: {}", strength.describe()));
-                self.add_solution(&counter, proposition);
+                let counter = self.add(GOAL, format!("Refuted: {}", strength.describe()));
+                self.add_solution(&counter, stated);
                 self.update(&counter, |element| element.challenges = Some(goal.clone()));
                 self.update(&goal, |element| element.defeated = true);
             }
@@ -120,45 +81,34 @@ impl ArgumentBuilder {
         }
     }
 
-    fn add_solution(&mut self, below: &str, proposition: &Proposition<'_>) {
-        let solution = self.add(GsnElementKind::Solution, proposition.status.describe());
-        self.update(&solution, |element| element.url = Some(format!("assessment.html#{}", proposition.row.part)));
+    fn add_solution(&mut self, below: &str, stated: &SubjectClaim<'_>) {
+        let solution = self.add(SOLUTION, stated.status.describe());
+        self.update(&solution, |element| element.url = Some(format!("assessment.html#{}", stated.row.part)));
         self.add_support(below, solution);
     }
 }
 
-/// A claim about the subject, as a sentence that is true or false.
-struct Proposition<'a> {
-    row: &'a ClaimRow,
-    claim: &'a AssuranceClaim,
-    status: &'a ClaimStatus,
-}
-
-impl Proposition<'_> {
-    fn text(&self) -> String {
-        let name = &self.claim.subject.controller.name;
-        match self.status.strength {
-            Strength::PartlyProved { share_percent } => {
-                let seeing = describe_estimator(self.claim.subject.estimator);
-                format!(
-                    "{name}, {seeing}, has no collision in {share_percent} % of the initial states: {}",
-                    self.claim.domain.describe()
-                )
-            }
-            _ => format!("Claim about {name}: {}", self.row.claim),
+/// Returns a claim as a sentence that is true or false.
+fn state_claim(SubjectClaim { row, claim, status }: &SubjectClaim<'_>) -> String {
+    let name = &claim.subject.controller.name;
+    match status.strength {
+        Strength::PartlyProved { share_percent } => {
+            let seeing = describe_estimator(claim.subject.estimator);
+            let domain = claim.domain.describe();
+            format!("{name}, {seeing}, has no collision in {share_percent} % of the initial states: {domain}")
         }
+        _ => format!("Claim about {name}: {}", row.claim),
     }
 }
 
-impl ArgumentBuilder {
+impl Argument {
     fn propagate_defeat(&mut self) {
         // Elements come before those that support them.
-        for index in (0..self.elements.len()).rev() {
-            let Some(element) = self.elements.get(index) else { continue };
-            let of = |id: &String| self.elements.iter().find(|other| other.id == *id);
-            let rests_on_defeat = element.supported_by.iter().filter_map(of).any(|below| below.defeated);
-            if rests_on_defeat && let Some(element) = self.elements.get_mut(index) {
-                element.defeated = true;
+        let mut defeated: Vec<String> = Vec::new();
+        for element in self.elements.iter_mut().rev() {
+            element.defeated |= element.supported_by.iter().any(|below| defeated.contains(below));
+            if element.defeated {
+                defeated.push(element.id.clone());
             }
         }
     }
@@ -188,8 +138,8 @@ const GOALS: [(&str, &str, PropertyFilter); 6] = [
 ];
 
 /// Returns the domains of claims about rates, which must not be read without them.
-fn describe_rate_domains(about: &[&Proposition<'_>]) -> String {
-    let is_rate = |one: &&&Proposition<'_>| {
+fn describe_rate_domains(about: &[&SubjectClaim<'_>]) -> String {
+    let is_rate = |one: &&&SubjectClaim<'_>| {
         matches!(one.claim.property, Property::RateAtMost { .. } | Property::FailsLessOften { .. })
     };
     let mut places: Vec<String> = about.iter().filter(is_rate).map(|one| one.claim.describe_domain()).collect();
@@ -200,34 +150,25 @@ fn describe_rate_domains(about: &[&Proposition<'_>]) -> String {
 impl Argument {
     pub(in crate::assessment) fn new(plan: &AssessmentPlan, summary: &ClaimSummary, limits: &AssessmentLimits) -> Self {
         let subject = plan.subject().map_or("", |controller| controller.name.as_str());
-        let mut building = ArgumentBuilder::default();
-        let all: Vec<_> = summary
-            .claims
-            .iter()
-            .filter_map(|row| {
-                let (claim, status) =
-                    (row.claims.get(plan.subject_index)?.as_ref()?, row.statuses.get(plan.subject_index)?);
-                Some(Proposition { row, claim, status })
-            })
-            .collect();
+        let mut building = Self::default();
+        let all = summary.claims_about(plan.subject_index);
         let estimator = describe_estimator(plan.config.estimator);
         let goal = format!("{subject}, {estimator}, avoids collisions in the domains of this report");
-        let top = building.add(GsnElementKind::Goal, goal);
-        let over = building.add(GsnElementKind::Strategy, "over collisions, failure rates and usefulness");
+        let top = building.add(GOAL, goal);
+        let over = building.add(STRATEGY, "over collisions, failure rates and usefulness");
         building.add_support(&top, over.clone());
-        let mut around = vec![building.add(
-            GsnElementKind::Context,
-            "simulated vehicles in one lane of a straight road; each goal names its domain",
-        )];
+        let mut around = vec![
+            building.add(CONTEXT, "simulated vehicles in one lane of a straight road; each goal names its domain"),
+        ];
         let mut domains: Vec<String> = Vec::new();
         for domain in all.iter().map(|one| format!("domain: {}", one.claim.domain.describe())) {
             if !domains.contains(&domain) {
-                around.push(building.add(GsnElementKind::Context, domain.clone()));
+                around.push(building.add(CONTEXT, domain.clone()));
                 domains.push(domain);
             }
         }
         for limit in &limits.assumptions {
-            let id = building.add(GsnElementKind::Assumption, limit.assumed);
+            let id = building.add(ASSUMPTION, limit.assumed);
             building.update(&id, |element| element.url = Some("assessment.html#limits".to_owned()));
             around.push(id);
         }
@@ -237,16 +178,14 @@ impl Argument {
             if about.is_empty() {
                 continue;
             }
-            let goal = building.add(GsnElementKind::Goal, format!("{subject} {says}{}", describe_rate_domains(&about)));
+            let goal = building.add(GOAL, format!("{subject} {says}{}", describe_rate_domains(&about)));
             building.add_support(&over, goal.clone());
-            let strategy = building.add(GsnElementKind::Strategy, by);
+            let strategy = building.add(STRATEGY, by);
             building.add_support(&goal, strategy.clone());
-            for proposition in about {
-                building.add_claim(&strategy, proposition);
-            }
+            about.into_iter().for_each(|stated| building.add_claim(&strategy, stated));
         }
         building.propagate_defeat();
-        Self { elements: building.elements }
+        building
     }
 
     /// Returns the argument as YAML for GSN tools: one entry per element, under its identifier.

@@ -1,15 +1,16 @@
 //! The comparison with an earlier assessment: better, worse, new and missing results.
 
 use std::collections::BTreeMap;
-use std::io;
-use std::path::{Path, PathBuf};
+use std::path::Path;
 
-use serde::{Deserialize, Serialize};
+use serde::Serialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
 
 use crate::assessment::claims::{AssuranceClaim, Strength};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessmentReport, EVIDENCE_VERSION, ReportPart};
+use crate::assessment::{AssessmentReport, CertificateStatus, EVIDENCE_VERSION, ReportPart};
 use crumple_core::digest::sha256;
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_world::scenario::file::{self, FileError};
@@ -57,41 +58,6 @@ pub struct EarlierAssessment {
     facts: Facts,
 }
 
-/// An error of loading an earlier assessment.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum ComparisonError {
-    /// The file cannot be read.
-    #[error("{}: {source}", path.display())]
-    Read {
-        /// Path of the file.
-        path: PathBuf,
-        /// Error of the system.
-        source: io::Error,
-    },
-    /// The file is not an `assessment.json`.
-    #[error("{}:{line}: {problem}", path.display())]
-    Syntax {
-        /// Path of the file.
-        path: PathBuf,
-        /// Line, from 1.
-        line: usize,
-        /// Description of the problem.
-        problem: String,
-    },
-    /// The file has another format version.
-    #[error(
-        "{}: version: {found} is not supported; this release compares with version {EVIDENCE_VERSION}",
-        path.display()
-    )]
-    Version {
-        /// Path of the file.
-        path: PathBuf,
-        /// Version of the file.
-        found: u32,
-    },
-}
-
 /// The results by name and domain hash. The hash separates results of spaces that have the same name.
 type Facts = BTreeMap<(String, String), Fact>;
 
@@ -103,144 +69,71 @@ struct Fact {
     is_failure: bool,
 }
 
-#[derive(Deserialize)]
-struct EvidenceView {
-    version: u32,
-    summary: SummaryView,
-    paper_scenarios: Option<ScenariosView>,
-    traffic: Option<ScenariosView>,
-    searches: SearchesView,
-    proofs: ProofsView,
-    provenance: ProvenanceView,
+/// Reads a field, whose path has slashes. The error names the field.
+fn read<T: DeserializeOwned>(value: &Value, field: &str) -> Result<T, String> {
+    let found = value.pointer(&format!("/{field}")).unwrap_or(&Value::Null);
+    T::deserialize(found).map_err(|error| format!("{field}: {error}"))
 }
 
-#[derive(Deserialize)]
-struct ProvenanceView {
-    config_sha256: String,
-}
-
-#[derive(Deserialize)]
-struct SummaryView {
-    controllers: Vec<String>,
-    claims: Vec<ClaimView>,
-}
-
-#[derive(Deserialize)]
-struct ClaimView {
-    claim: String,
-    claims: Vec<Option<AssuranceClaim>>,
-    #[serde(rename = "standings")]
-    statuses: Vec<ClaimStatusView>,
-}
-
-#[derive(Deserialize)]
-struct ClaimStatusView {
-    #[serde(flatten)]
-    strength: Strength,
-}
-
-#[derive(Deserialize)]
-struct ScenariosView {
-    scenarios: Vec<ScenarioView>,
-}
-
-#[derive(Deserialize)]
-struct ScenarioView {
-    scenario: String,
-    cases: Vec<CaseView>,
-}
-
-#[derive(Deserialize)]
-struct CaseView {
-    controller: String,
-    min_gap_m: Option<f64>,
-}
-
-#[derive(Deserialize)]
-struct SearchesView {
-    spaces: Vec<SpaceView>,
-}
-
-#[derive(Deserialize)]
-struct SpaceView {
-    name: String,
-    controllers: Vec<SearchView>,
-}
-
-#[derive(Deserialize)]
-struct SearchView {
-    controller: String,
-    failures: Vec<FailureView>,
-}
-
-#[derive(Deserialize)]
-struct FailureView {
-    kind: String,
-    class: AvoidabilityClass,
-}
-
-#[derive(Deserialize)]
-struct ProofsView {
-    certificates: Vec<CertificateView>,
-}
-
-#[derive(Deserialize)]
-struct CertificateView {
-    name: String,
-    statement: String,
-    about: String,
-    status: super::CertificateStatus,
-}
-
-impl EvidenceView {
-    fn into_facts(self) -> Facts {
-        let mut facts = Facts::new();
-        for claim in self.summary.claims {
-            let statuses = self.summary.controllers.iter().zip(claim.claims).zip(claim.statuses);
-            for ((controller, made), ClaimStatusView { strength }) in statuses {
-                let what = format!("{controller}: {}", claim.claim);
-                let domain = made.map_or_else(String::new, |made| sha256(format!("{:?}", made.domain)));
-                // An untried claim is absent: neither better nor worse.
-                if strength != Strength::Untried {
-                    let is_failure = strength.is_refutation();
-                    let (score, description) = (score(&strength), strength.describe());
-                    facts.insert((what, domain), Fact { score, description, is_failure });
-                }
+fn read_facts(evidence: &Value) -> Result<Facts, String> {
+    let mut facts = Facts::new();
+    let mut add = |what: String, domain: String, score: f64, description: String, is_failure: bool| {
+        facts.insert((what, domain), Fact { score, description, is_failure });
+    };
+    let controllers: Vec<String> = read(evidence, "summary/controllers")?;
+    for row in read::<Vec<Value>>(evidence, "summary/claims")? {
+        let words: String = read(&row, "claim")?;
+        let claims: Vec<Option<AssuranceClaim>> = read(&row, "claims")?;
+        let strengths: Vec<Strength> = read(&row, "standings")?;
+        if [claims.len(), strengths.len()] != [controllers.len(); 2] {
+            return Err(format!("summary/claims: `{words}` needs one entry per controller"));
+        }
+        for ((controller, claim), strength) in controllers.iter().zip(claims).zip(&strengths) {
+            // An untried claim is absent: neither better nor worse.
+            if *strength != Strength::Untried {
+                let domain = claim.map_or_else(String::new, |claim| sha256(format!("{:?}", claim.domain)));
+                let what = format!("{controller}: {words}");
+                add(what, domain, score(strength), strength.describe(), strength.is_refutation());
             }
         }
-        let scenarios = self.paper_scenarios.into_iter().chain(self.traffic).flat_map(|part| part.scenarios);
-        for scenario in scenarios {
-            for case in scenario.cases {
-                if let Some(gap_m) = case.min_gap_m {
-                    let what = format!("{}: smallest gap in {}", case.controller, scenario.scenario);
-                    let fact = Fact { score: gap_m, description: format!("{gap_m:.2} m"), is_failure: false };
-                    facts.insert((what, String::new()), fact);
-                }
-            }
-        }
-        for space in self.searches.spaces {
-            for search in space.controllers {
-                for failure in search.failures {
-                    let class = match failure.class {
-                        AvoidabilityClass::Avoidable => "avoidable",
-                        AvoidabilityClass::Unavoidable => "unavoidable",
-                        AvoidabilityClass::Undecided | AvoidabilityClass::NotAsked => "not classified",
-                    };
-                    let what = format!("{}: failure in `{}`: {}", search.controller, space.name, failure.kind);
-                    let fact = Fact { score: 0.0, description: "found".to_owned(), is_failure: true };
-                    facts.insert((format!("{what}, {class}"), String::new()), fact);
-                }
-            }
-        }
-        for proof in self.proofs.certificates {
-            let score = f64::from(matches!(proof.status, super::CertificateStatus::Accepted { .. }));
-            let fact = Fact { score, description: proof.status.describe(), is_failure: false };
-            // A changed certificate of the same name is another result.
-            let what = format!("certificate {}: {}, {}", proof.name, proof.statement, proof.about);
-            facts.insert((what, String::new()), fact);
-        }
-        facts
     }
+    for part in ["paper_scenarios/scenarios", "traffic/scenarios"] {
+        for scenario in read::<Option<Vec<Value>>>(evidence, part)?.unwrap_or_default() {
+            let name: String = read(&scenario, "scenario")?;
+            for case in read::<Vec<Value>>(&scenario, "cases")? {
+                let controller: String = read(&case, "controller")?;
+                if let Some(gap_m) = read::<Option<f64>>(&case, "min_gap_m")? {
+                    let what = format!("{controller}: smallest gap in {name}");
+                    add(what, String::new(), gap_m, format!("{gap_m:.2} m"), false);
+                }
+            }
+        }
+    }
+    for space in read::<Vec<Value>>(evidence, "searches/spaces")? {
+        let name: String = read(&space, "name")?;
+        for search in read::<Vec<Value>>(&space, "controllers")? {
+            let controller: String = read(&search, "controller")?;
+            for failure in read::<Vec<Value>>(&search, "failures")? {
+                let class = match read(&failure, "class")? {
+                    AvoidabilityClass::Avoidable => "avoidable",
+                    AvoidabilityClass::Unavoidable => "unavoidable",
+                    AvoidabilityClass::Undecided | AvoidabilityClass::NotAsked => "not classified",
+                };
+                let kind: String = read(&failure, "kind")?;
+                let what = format!("{controller}: failure in `{name}`: {kind}, {class}");
+                add(what, String::new(), 0.0, "found".to_owned(), true);
+            }
+        }
+    }
+    for proof in read::<Vec<Value>>(evidence, "proofs/certificates")? {
+        let status: CertificateStatus = read(&proof, "status")?;
+        let score = f64::from(matches!(status, CertificateStatus::Accepted { .. }));
+        let text = |field: &str| read::<String>(&proof, field);
+        // A changed certificate of the same name is another result.
+        let what = format!("certificate {}: {}, {}", text("name")?, text("statement")?, text("about")?);
+        add(what, String::new(), score, status.describe(), false);
+    }
+    Ok(facts)
 }
 
 /// Returns the score of a strength, larger is better: by rank, then by the strength's number.
@@ -273,38 +166,23 @@ impl EarlierAssessment {
     /// Reads the evidence of an earlier assessment, `assessment.json`.
     ///
     /// # Errors
-    /// [`ComparisonError`] if it cannot be read, or is no such evidence.
-    pub fn load(path: &Path) -> Result<Self, ComparisonError> {
-        let text = file::read_at_most(path, MAX_EVIDENCE_BYTES).map_err(|error| match error {
-            FileError::Read { path, source } => ComparisonError::Read { path, source },
-            other => ComparisonError::Read { path: path.to_owned(), source: io::Error::other(other.to_string()) },
-        })?;
-        Self::from_json(&text, path)
+    /// [`FileError`] if it cannot be read, or is no such evidence.
+    pub fn load(path: &Path) -> Result<Self, FileError> {
+        Self::from_json(&file::read_at_most(path, MAX_EVIDENCE_BYTES)?, path)
     }
 
-    fn from_json(text: &str, path: &Path) -> Result<Self, ComparisonError> {
-        #[derive(Deserialize)]
-        struct Versioned {
-            version: u32,
-        }
-        let syntax = |error: serde_json::Error| ComparisonError::Syntax {
-            path: path.to_owned(),
-            line: error.line(),
-            problem: format!("not an assessment.json: {error}"),
-        };
-        let Versioned { version } = serde_json::from_str(text).map_err(syntax)?;
+    fn from_json(text: &str, path: &Path) -> Result<Self, FileError> {
+        let wrong = |line, message| FileError::Syntax { path: path.to_owned(), line, message };
+        let syntax = |error: serde_json::Error| wrong(error.line(), format!("not an assessment.json: {error}"));
+        let evidence: Value = serde_json::from_str(text).map_err(syntax)?;
+        let field = |problem: String| wrong(1, format!("not an assessment.json: {problem}"));
+        let version: u32 = read(&evidence, "version").map_err(field)?;
         if version != EVIDENCE_VERSION {
-            return Err(ComparisonError::Version { path: path.to_owned(), found: version });
+            let supported = format!("this release compares with version {EVIDENCE_VERSION}");
+            return Err(wrong(1, format!("version: {version} is not supported; {supported}")));
         }
-        let view: EvidenceView = serde_json::from_str(text).map_err(syntax)?;
-        let controllers = view.summary.controllers.len();
-        let is_wrong = |claim: &&ClaimView| claim.statuses.len() != controllers || claim.claims.len() != controllers;
-        if let Some(claim) = view.summary.claims.iter().find(is_wrong) {
-            let problem = format!("summary.claims: `{}` needs one entry per controller", claim.claim);
-            return Err(ComparisonError::Syntax { path: path.to_owned(), line: 1, problem });
-        }
-        let config_sha256 = view.provenance.config_sha256.clone();
-        Ok(Self { sha256: sha256(text), config_sha256, facts: view.into_facts() })
+        let config_sha256 = read(&evidence, "provenance/config_sha256").map_err(field)?;
+        Ok(Self { sha256: sha256(text), config_sha256, facts: read_facts(&evidence).map_err(field)? })
     }
 }
 
@@ -313,10 +191,9 @@ impl AssessmentComparison {
     #[must_use]
     pub fn new(earlier: &EarlierAssessment, now: &AssessmentReport) -> Option<Self> {
         let text = now.to_json().ok()?;
-        let view: EvidenceView = serde_json::from_str(&text).ok()?;
-        debug_assert_eq!(view.version, EVIDENCE_VERSION);
-        let same_configuration = view.provenance.config_sha256 == earlier.config_sha256;
-        Some(Self { same_configuration, ..Self::from_facts(earlier, &view.into_facts()) })
+        let evidence: Value = serde_json::from_str(&text).ok()?;
+        let same_configuration = now.provenance.config_sha256 == earlier.config_sha256;
+        Some(Self { same_configuration, ..Self::from_facts(earlier, &read_facts(&evidence).ok()?) })
     }
 
     fn from_facts(earlier: &EarlierAssessment, facts: &Facts) -> Self {
@@ -396,10 +273,6 @@ impl AssessmentComparison {
 }
 
 impl ReportPart for AssessmentComparison {
-    fn anchor_and_title(&self) -> (&'static str, String) {
-        ("changes", "Changes since the earlier assessment".to_owned())
-    }
-
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(&self.describe());
         if !self.is_empty() {

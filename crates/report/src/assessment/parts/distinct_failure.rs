@@ -4,7 +4,7 @@ use std::iter;
 
 use serde::{Deserialize, Serialize};
 
-use super::failure_searches::CounterexampleFiles;
+use super::search_campaign::CounterexampleFiles;
 use crate::assessment::avoidance::COLLIDING_ESCAPE;
 use crate::assessment::{CrumpleCommand, Rounded};
 use crumple_core::digest::sha256;

@@ -123,10 +123,6 @@ const INTRODUCTION: &str = "Each scenario of the configuration, and each braking
     marks a run that ended while two vehicles approached each other.";
 
 impl ReportPart for FileScenarios {
-    fn anchor_and_title(&self) -> (&'static str, String) {
-        (ANCHOR, "Scenario files and recordings".to_owned())
-    }
-
     fn write(&self, out: &mut ReportDocument) {
         let telling: Vec<_> = self.closest_first.iter().filter_map(|&index| self.scenarios.get(index)).collect();
         out.paragraph(INTRODUCTION);

@@ -52,10 +52,6 @@ const TERMS: [(&str, &str); 24] = [
 ];
 
 impl ReportPart for Glossary {
-    fn anchor_and_title(&self) -> (&'static str, String) {
-        ("glossary", "Glossary".to_owned())
-    }
-
     fn write(&self, out: &mut ReportDocument) {
         out.table(&ReportTable::from_items(
             TERMS,

@@ -3,13 +3,15 @@
 //! Every controller drives the same random scenarios as in [`super::SpaceSamples`]; vehicles that collide drive on as
 //! one body. The first controller of the configuration is the reference, for example one that never brakes.
 
+use std::collections::BTreeSet;
 use std::fmt::Write as _;
 
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::sampling::{PercentInterval, simulate_each};
+use super::sampling::{batches, draw_scenarios, simulate_each};
+use super::share::PercentInterval;
 use crate::assessment::claims::ContentId;
 use crate::assessment::config::HarmConfig;
 use crate::assessment::document::ReportDocument;
@@ -25,10 +27,8 @@ use crumple_world::sim::{AfterContact, NamedController, RecordingLevel, RunOptio
 /// Deceleration above which a drive has an activation, in m/s²: comfort braking is below it, Autoware's brake above.
 pub const ACTIVATION_MPS2: f64 = 2.5;
 
-const CONFIDENCE: f64 = 0.95;
-/// Two-sided quantile of the normal distribution at [`CONFIDENCE`].
+/// Two-sided quantile of the normal distribution at 95 %.
 const NORMAL_QUANTILE: f64 = 1.96;
-const BATCH_SIZE: u64 = 4096;
 
 /// Effects of braking in each scenario space.
 #[derive(Debug, Clone, Serialize)]
@@ -40,7 +40,7 @@ pub struct HarmReport {
     pub groups: Vec<HarmGroup>,
     /// Runs as a table of comma-separated values.
     #[serde(skip)]
-    runs_csv: String,
+    pub(in crate::assessment) runs_csv: String,
 }
 
 /// Effects of braking with one kind of follower.
@@ -150,10 +150,8 @@ impl HarmRun {
         let inputs = json!([named.text, config.draws, config.seed, work.plan.identity(controller)]);
         work.get_or_gather(&format!("harm of {} in {}", controller.name, named.space.name()), &inputs, || {
             let mut all = Vec::new();
-            for from in (0..config.draws).step_by(BATCH_SIZE as usize) {
-                let draws = from..config.draws.min(from + BATCH_SIZE);
-                let scenarios =
-                    draws.map(|index| named.space.draw(config.seed, index)).collect::<Result<Vec<_>, _>>()?;
+            for draws in batches(config.draws) {
+                let scenarios = draw_scenarios(&named.space, config.seed, draws)?;
                 all.extend(Self::simulate_all(&scenarios, controller, work)?);
                 work.add_runs(scenarios.len() as u64)?;
             }
@@ -174,8 +172,7 @@ fn gather_avoidability(
         &format!("avoidability in {}", named.space.name()),
         &json!([named.text, count, config.seed]),
         || {
-            let scenarios = (0..count).map(|index| named.space.draw(config.seed, index));
-            let scenarios = scenarios.collect::<Result<Vec<_>, _>>()?;
+            let scenarios = draw_scenarios(&named.space, config.seed, 0..count)?;
             Ok(scenarios.par_iter().map(|one| Avoidability::classify_contact(one).is_avoidable()).collect())
         },
     )
@@ -194,23 +191,12 @@ impl HarmReport {
                 write_csv(&mut runs_csv, named.space.name(), &controller.name, &of_controller, &avoidability);
                 runs.push((controller.name.as_str(), of_controller));
             }
-            let mut followers: Vec<&str> = Vec::new();
-            for run in runs.first().into_iter().flat_map(|(_, runs)| runs) {
-                if !followers.contains(&run.follower.as_str()) {
-                    followers.push(&run.follower);
-                }
-            }
-            followers.sort_unstable();
+            let reference = runs.first().into_iter().flat_map(|(_, runs)| runs);
+            let followers: BTreeSet<&str> = reference.map(|run| run.follower.as_str()).collect();
             let kinds = std::iter::once(None).chain(followers.into_iter().map(Some));
             groups.extend(kinds.map(|follower| HarmGroup::new(&named.content_id, follower, &runs, &avoidability)));
         }
         Ok(Some(Self { emergencies_per_hour: config.emergencies_per_hour, groups, runs_csv }))
-    }
-
-    /// Returns the runs as a table of comma-separated values.
-    #[must_use]
-    pub(in crate::assessment) fn runs_csv(&self) -> &str {
-        &self.runs_csv
     }
 }
 
@@ -260,7 +246,7 @@ impl HarmGroup {
                 pairs().filter(|(run, reference)| wanted(run, reference)).count() as u64
             };
             let drives = pairs().count() as u64;
-            let percent = |count, of| PercentInterval::clopper_pearson([count, 0], of, CONFIDENCE);
+            let percent = |count, of| PercentInterval::clopper_pearson([count, 0], of);
             let activations = count(&|run, _| run.activates);
             let caused =
                 |run: &HarmRun, reference: &HarmRun| run.impacts_mps[1].is_some() && reference.impacts_mps[1].is_none();
@@ -312,10 +298,6 @@ impl HarmGroup {
 }
 
 impl ReportPart for HarmReport {
-    fn anchor_and_title(&self) -> (&'static str, String) {
-        ("harm", "Collisions ahead avoided, collisions behind caused, and harm".to_owned())
-    }
-
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(&format!(
             "Harm is the expected number of seriously injured drivers (MAIS3+ of Wang 2022, DOT HS 813 219, for light \

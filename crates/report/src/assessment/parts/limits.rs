@@ -96,10 +96,6 @@ impl AssessmentLimits {
 }
 
 impl ReportPart for AssessmentLimits {
-    fn anchor_and_title(&self) -> (&'static str, String) {
-        ("limits", "Limits".to_owned())
-    }
-
     fn write(&self, out: &mut ReportDocument) {
         out.push_html(
             html! { ul { @for limit in &self.assumptions { li { b { (limit.assumed) "." } " " (limit.meaning) } } } },

@@ -28,8 +28,6 @@ pub struct PaperScenarios {
 
 pub(super) const ANCHOR: &str = "paper";
 
-const ANIMATED_SCENARIO: &str = "paper-2";
-
 impl PaperScenarios {
     /// Returns the paper's scenarios with the seed of the plan; none if the plan leaves the paper out.
     pub(in crate::assessment) fn scenarios(plan: &AssessmentPlan) -> Result<Vec<Scenario>, AssessError> {
@@ -93,10 +91,6 @@ const INTRODUCTION: &str = "A leader at 90 km/h brakes at 3 m/s². The vehicles 
     until the first collision; the pile-up is simulated further. The glossary explains the measures.";
 
 impl ReportPart for PaperScenarios {
-    fn anchor_and_title(&self) -> (&'static str, String) {
-        (ANCHOR, "The paper's scenarios".to_owned())
-    }
-
     fn write(&self, out: &mut ReportDocument) {
         [INTRODUCTION, REGRET_EXPLANATION, FURTHER_MEASURES_NOTE].iter().for_each(|words| out.paragraph(words));
         for scenario in &self.scenarios {
@@ -105,9 +99,6 @@ impl ReportPart for PaperScenarios {
             out.paragraph(&scenario.about);
             out.figure(scenario.figures_side_by_side(&beside));
             out.push_html(html! { p.replay { @for case in &beside { (scenario.replay_html(case)) } } });
-            if let (true, Some(first)) = (scenario.scenario == ANIMATED_SCENARIO, scenario.cases.first()) {
-                out.figure(scenario.animation(first));
-            }
             out.paragraph(&scenario.describe_avoidance());
             scenario.write_tables(out);
             others.iter().for_each(|case| out.push_html(scenario.collapsible_figure(case)));

@@ -11,37 +11,16 @@ use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, ReportPart, Rounded};
-use crumple_world::control::ViabilityKernel;
-use crumple_world::scenario::VehicleClass;
 
 /// Certificates, each checked in this run.
 #[derive(Debug, Clone, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct Proofs {
-    /// Gaps that the shield's kernels demand, one entry per pair of vehicle classes.
-    pub kernels: Vec<KernelGap>,
     /// All certificates.
     pub certificates: Vec<CheckedCertificate>,
     /// Further conditions for a shield to prevent a collision with the leader.
     pub conditions: [&'static str; 4],
 }
-
-/// The gap that the kernel of a pair of vehicle classes demands on a dry road.
-#[derive(Debug, Clone, Serialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct KernelGap {
-    /// Name of the pair, and of the certificate.
-    pub pair: String,
-    /// Brake limit of the ego vehicle, in m/s².
-    pub own_brake_mps2: Rounded<2>,
-    /// Brake limit of the leader, in m/s².
-    pub ahead_brake_mps2: Rounded<2>,
-    /// Gap demanded at [`EXAMPLE_MPS`], in metres, rounded up.
-    pub example_gap_m: Rounded<2>,
-}
-
-/// Speeds of the ego vehicle and the leader for which demanded gaps are shown, in m/s.
-pub const EXAMPLE_MPS: [f64; 2] = [25.0, 20.0];
 
 const CONDITIONS: [&str; 4] = [
     "the vehicle starts inside the kernel; outside it, a shield brakes fully and reports that a collision is possible",
@@ -56,13 +35,8 @@ impl Proofs {
         work: &GatherContext<'_>,
         scenarios: impl Iterator<Item = &'a ScenarioCases>,
     ) -> Result<Self, AssessError> {
-        let pairs = VehicleClass::ALL.iter().flat_map(|&own| VehicleClass::ALL.iter().map(move |&ahead| (own, ahead)));
         let scenes = scenarios.filter_map(ScenarioCases::named_certificate);
-        Ok(Self {
-            kernels: pairs.map(|(own, ahead)| KernelGap::new(own, ahead)).collect(),
-            certificates: certificates::gather_certificates(work, scenes)?,
-            conditions: CONDITIONS,
-        })
+        Ok(Self { certificates: certificates::gather_certificates(work, scenes)?, conditions: CONDITIONS })
     }
 
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
@@ -81,20 +55,6 @@ impl Proofs {
             }
         }
         boxes
-    }
-
-    fn gap_table(&self) -> ReportTable {
-        let [own, ahead] = EXAMPLE_MPS;
-        let example = format!("required gap at {own} m/s behind {ahead} m/s (m)");
-        ReportTable::from_items(
-            &self.kernels,
-            &[
-                ("vehicle classes", &|kernel| ReportCell::text(&kernel.pair)),
-                ("own brake (m/s²)", &|kernel| ReportCell::number(kernel.own_brake_mps2)),
-                ("brake of the leader (m/s²)", &|kernel| ReportCell::number(kernel.ahead_brake_mps2)),
-                (&example, &|kernel| ReportCell::number(kernel.example_gap_m)),
-            ],
-        )
     }
 
     fn table(&self) -> ReportTable {
@@ -150,19 +110,6 @@ impl Proofs {
     }
 }
 
-impl KernelGap {
-    fn new(own: VehicleClass, ahead: VehicleClass) -> Self {
-        let kernel = ViabilityKernel { own_brake_mps2: own.max_brake_mps2(), ahead_brake_mps2: ahead.max_brake_mps2() };
-        let [own_mps, ahead_mps] = EXAMPLE_MPS;
-        Self {
-            pair: format!("{}-behind-{}", own.name(), ahead.name()),
-            own_brake_mps2: kernel.own_brake_mps2.into(),
-            ahead_brake_mps2: kernel.ahead_brake_mps2.into(),
-            example_gap_m: Rounded::up(kernel.demanded_gap_m(own_mps, ahead_mps)),
-        }
-    }
-}
-
 const INTRODUCTION: &str = "The checker accepted each certificate in this run; it uses no code of the simulator, the \
     search or the solver. A kernel certificate is about the safety kernel of a shield. A rate bounds the failure \
     rate by counts of runs that were registered before the first one, and a comparison shows which of two \
@@ -173,16 +120,10 @@ const INTRODUCTION: &str = "The checker accepted each certificate in this run; i
 const RECHECK: &str = "Repeat the check in the folder of this report: `crumple check --rerun certificates/*.json`";
 
 impl ReportPart for Proofs {
-    fn anchor_and_title(&self) -> (&'static str, String) {
-        ("proofs", "Proofs".to_owned())
-    }
-
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(INTRODUCTION);
         out.table(&self.table());
         out.paragraph(RECHECK);
-        out.push_html(html! { h3 { "Gaps that the kernels require" } });
-        out.table(&self.gap_table());
         out.push_html(html! { h3 { "Assumptions of the proofs" } });
         out.list(&self.assumptions());
     }

@@ -105,10 +105,6 @@ const CACHE_NOTE: &str = "Evidence may come from the folder `evidence`, which th
     checked in this run. `--fresh` gathers all evidence again.";
 
 impl ReportPart for AssessmentProvenance {
-    fn anchor_and_title(&self) -> (&'static str, String) {
-        ("provenance", "Provenance".to_owned())
-    }
-
     fn write(&self, out: &mut ReportDocument) {
         out.push_html(html! {
             @if let Some(made) = &self.run_info { p #made { "Run of " (made.describe()) "." } }

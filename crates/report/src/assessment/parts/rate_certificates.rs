@@ -2,7 +2,8 @@
 
 use crumple_verify::{Certificate, Registration, Statement};
 
-use super::certificates::{CertificateStatus, CheckedCertificate, check_certificate, includes_others, rate_strength};
+use super::certificate_subject::includes_others;
+use super::certificates::{CertificateStatus, CheckedCertificate, check_certificate, rate_strength};
 use crate::assessment::claims::Strength;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::{NamedSpace, file_stem};

@@ -5,19 +5,18 @@ use maud::{Markup, html};
 use serde::Serialize;
 
 use crate::assessment::avoidance::CertifiedAvoidance;
-use crate::assessment::case::{CaseResult, CaseVerdict};
+use crate::assessment::case::CaseResult;
 use crate::assessment::claims::{
-    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, Subject, UncomparedText,
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Subject, UncomparedText,
 };
 use crate::assessment::document::ReportDocument;
+use crate::assessment::run_ends::RunEnds;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, CrumpleCommand, RoundedAvoidance};
 use crate::draw::{
-    MotionFigure, Svg, draw_animation, draw_motion_columns, draw_motion_responsive, draw_motions_side_by_side,
-    vehicle_names,
+    MotionFigure, Svg, draw_motion_columns, draw_motion_responsive, draw_motions_side_by_side, vehicle_names,
 };
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::FailedControllerRuns;
 
 /// The results of every controller in one scenario.
 #[derive(Debug, Clone, Serialize)]
@@ -47,16 +46,12 @@ pub struct ScenarioCases {
 /// Returns the evidence of `NoContact` per controller, without runs in which other vehicles collide first.
 pub(super) fn evidence(plan: &AssessmentPlan, scenarios: &[ScenarioCases], part: &str) -> Vec<Evidence> {
     let of = |(index, subject): (usize, Subject)| {
-        let verdicts = scenarios.iter().filter_map(|scenario| scenario.cases.get(index)).map(|case| &case.verdict);
-        let counted: Vec<_> = verdicts.filter(|verdict| verdict.is_conclusive()).collect();
-        let mut unanswered = None;
-        counted.iter().for_each(|verdict| FailedControllerRuns::merge(&mut unanswered, verdict.unanswered()));
-        let touches = |verdict: &&&CaseVerdict| verdict.is_failure() && verdict.unanswered().is_none();
-        let failures = counted.iter().filter(touches).count();
+        let verdicts: Vec<_> =
+            scenarios.iter().filter_map(|scenario| scenario.cases.get(index)).map(|case| &case.verdict).collect();
+        let (ends, runs) = (RunEnds::from_verdicts(verdicts.iter().copied()), verdicts.len() as u64);
         let claim = AssuranceClaim { subject, property: Property::NoContact, domain: domain(scenarios, part) };
-        let strength =
-            Strength::from_counts_with_unanswered(failures as u64, counted.len() as u64, unanswered.as_ref(), true);
-        Evidence { claim, strength, source: EvidenceSource::from_part(part, format!("{} runs", counted.len())) }
+        let source = EvidenceSource::from_part(part, format!("{} runs", runs - ends.ended_by_others));
+        Evidence { claim, strength: ends.strength(runs), source }
     };
     plan.claim_subjects().into_iter().enumerate().map(of).collect()
 }
@@ -194,12 +189,6 @@ impl ScenarioCases {
             impacts,
         });
         draw(&figures.collect::<Vec<_>>())
-    }
-
-    pub(in crate::assessment) fn animation(&self, case: &CaseResult) -> Markup {
-        let Some((trace, impacts)) = &case.motion else { return html! {} };
-        let title = format!("{}, {}, from above: {}", self.scenario, case.controller, case.verdict.describe());
-        draw_animation(&format!("{}-{}", self.scenario, case.controller), &title, trace, &self.full_scenario, impacts)
     }
 
     /// Draws the figure of one case, folded behind its outcome.

@@ -3,13 +3,12 @@
 use maud::html;
 use serde::Serialize;
 
-use super::UsefulnessReport;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::markdown::Inline;
 use crate::assessment::prose::prose_to_html;
 use crate::assessment::table::{ReportCell, ReportTable};
 use crate::assessment::{AssessmentPlan, ReportPart};
-use crumple_world::scenario::space::{ScenarioSpace, built_in_space, built_in_space_summary};
+use crumple_world::scenario::space::{ScenarioSpace, built_in_space_summary};
 
 /// The parameters of each scenario space, with ranges and probability distributions.
 #[derive(Debug, Clone, Serialize)]
@@ -47,17 +46,8 @@ pub struct ParameterDescription {
 }
 
 impl SpaceDescriptions {
-    pub(in crate::assessment) fn new(plan: &AssessmentPlan, usefulness: Option<&UsefulnessReport>) -> Self {
-        let mut spaces: Vec<SpaceDescription> = Vec::new();
-        let everyday = usefulness.iter().flat_map(|usefulness| usefulness.space_summaries());
-        let everyday = everyday.filter_map(|(name, _)| built_in_space(&name));
-        let own = plan.rate_spaces.iter().chain(&plan.search_spaces).map(|named| named.space.clone());
-        for space in own.chain(everyday) {
-            if !spaces.iter().any(|known| known.name == space.name()) {
-                spaces.push(SpaceDescription::new(&space));
-            }
-        }
-        Self { spaces }
+    pub(in crate::assessment) fn new(plan: &AssessmentPlan) -> Self {
+        Self { spaces: plan.all_spaces().iter().map(SpaceDescription::new).collect() }
     }
 }
 
@@ -110,10 +100,6 @@ const INTRODUCTION: &str = "Random scenarios follow the distribution; a search c
     of a rate contains its whole space.";
 
 impl ReportPart for SpaceDescriptions {
-    fn anchor_and_title(&self) -> (&'static str, String) {
-        ("domain", "Scenario spaces".to_owned())
-    }
-
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(INTRODUCTION);
         for space in &self.spaces {

@@ -12,6 +12,7 @@ use crate::assessment::commands::controller_arg;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::planned_suite::PlannedSuite;
+use crate::assessment::run_ends::note_unanswered;
 use crate::assessment::table::{CellMark, ReportCell, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, CrumpleCommand, ReportPart};
 use crate::suite::{describe_min_margins, describe_preventability, describe_verdict, describe_worst_in_tolerance};
@@ -389,8 +390,7 @@ impl SuiteFindings {
                 FailedControllerRuns::merge(&mut all, outcome.total_unanswered());
                 runs += outcome.runs;
             }
-            let words = all?.describe(runs);
-            Some(format!("{controller} {words}. These are failures of the controller, but no collisions."))
+            Some(note_unanswered(controller, &all?, runs))
         };
         self.controllers.iter().enumerate().filter_map(of).collect()
     }
@@ -409,10 +409,6 @@ const INTRODUCTION: &str = "Each test is a grid of scenarios, and passes if no v
     gives the passed scenarios and the fastest impact. Other requirements of the documents are outside the model.";
 
 impl ReportPart for Suites {
-    fn anchor_and_title(&self) -> (&'static str, String) {
-        (ANCHOR, "Tests modelled on regulations".to_owned())
-    }
-
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(&format!("{INTRODUCTION} {}", self.statement));
         for found in &self.suites {

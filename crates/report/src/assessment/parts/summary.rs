@@ -3,19 +3,19 @@
 use maud::html;
 use serde::Serialize;
 
+use super::Suites;
 use super::certificates::{describe_estimator, kernel_domain, shield_kernels};
-use super::{FailureSearches, FileScenarios, PaperScenarios, Proofs, SpaceSamples, Suites, UsefulnessReport};
-use crate::assessment::claims::{AssuranceClaim, ClaimStatus, ContentId, Domain, InferenceRule, Ledger, Property};
+use crate::assessment::claims::{AssuranceClaim, ClaimStatus, ContentId, Domain, InferenceRule, Property};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessmentPlan, GateResult, ReportPart, Rounded};
+use crate::assessment::{AssessmentPlan, AssessmentReport, GateResult, ReportPart, Rounded};
 use crumple_world::control::ProcessController;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::built_in_space_summary;
 use crumple_world::sim::{ControllerKind, NamedController};
 
 /// Every claim about every controller.
-#[derive(Debug, Clone, Serialize)]
+#[derive(Debug, Clone, Default, Serialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct ClaimSummary {
     /// Controller that the question is about.
@@ -59,38 +59,21 @@ pub struct ClaimRow {
     pub statuses: Vec<ClaimStatus>,
 }
 
-/// The parts of the report that claims refer to.
-pub(in crate::assessment) struct GatheredEvidence<'a> {
-    pub(in crate::assessment) paper: Option<&'a PaperScenarios>,
-    pub(in crate::assessment) rate_spaces: &'a SpaceSamples,
-    pub(in crate::assessment) traffic: Option<&'a FileScenarios>,
-    pub(in crate::assessment) suites: Option<&'a Suites>,
-    pub(in crate::assessment) searches: &'a FailureSearches,
-    pub(in crate::assessment) usefulness: Option<&'a UsefulnessReport>,
-    pub(in crate::assessment) proofs: &'a Proofs,
-}
-
-impl GatheredEvidence<'_> {
-    pub(in crate::assessment) fn collect_ledger(&self, plan: &AssessmentPlan) -> Ledger {
-        let mut all = Vec::new();
-        all.extend(self.paper.iter().flat_map(|part| part.evidence(plan)));
-        all.extend(self.rate_spaces.evidence(plan));
-        all.extend(self.traffic.iter().flat_map(|part| part.evidence(plan)));
-        all.extend(self.suites.iter().flat_map(|part| part.evidence(plan)));
-        all.extend(self.searches.evidence(plan));
-        all.extend(self.usefulness.iter().flat_map(|part| part.evidence(plan)));
-        all.extend(self.proofs.evidence(plan));
-        Ledger::new(all)
-    }
+/// A claim about one controller, and its status.
+#[derive(Clone, Copy)]
+pub(super) struct SubjectClaim<'a> {
+    pub(super) row: &'a ClaimRow,
+    pub(super) claim: &'a AssuranceClaim,
+    pub(super) status: &'a ClaimStatus,
 }
 
 /// Largest failure rate that counts as rare, in percent.
 const RARE_PERCENT: f64 = 1.0;
 
 impl ClaimSummary {
-    pub(in crate::assessment) fn new(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledger) -> Self {
+    pub(in crate::assessment) fn new(plan: &AssessmentPlan, found: &AssessmentReport) -> Self {
         let controllers: Vec<_> = plan.controllers.iter().map(|controller| controller.name.clone()).collect();
-        let claims = claim_rows(plan, found, ledger);
+        let claims = claim_rows(plan, found);
         let subject = plan.subject().map(|subject| subject.name.clone());
         let is_asked = |&index: &usize| {
             index == 0
@@ -98,7 +81,15 @@ impl ClaimSummary {
                 || plan.controllers.get(index).is_some_and(|one| one.kind.is_learned())
         };
         let main_columns = (0..controllers.len()).filter(is_asked).collect();
-        Self { subject, controllers, named: explain_names(plan, found), claims, gates: Vec::new(), main_columns }
+        Self { subject, controllers, named: explain_names(plan), claims, gates: Vec::new(), main_columns }
+    }
+
+    /// Returns the claims about the controller with that index.
+    pub(super) fn claims_about(&self, index: usize) -> Vec<SubjectClaim<'_>> {
+        let claims = self.claims.iter().filter_map(|row| {
+            Some(SubjectClaim { row, claim: row.claims.get(index)?.as_ref()?, status: row.statuses.get(index)? })
+        });
+        claims.collect()
     }
 
     /// Returns the table of all claims: the main controllers first, then the others.
@@ -142,26 +133,16 @@ impl ClaimSummary {
     }
 }
 
-fn explain_names(plan: &AssessmentPlan, found: &GatheredEvidence<'_>) -> Vec<NameExplanation> {
+fn explain_names(plan: &AssessmentPlan) -> Vec<NameExplanation> {
     let controllers = plan
         .controllers
         .iter()
         .map(|one| NameExplanation { name: one.name.clone(), explanation: describe_controller(&one.kind) });
-    let mut all: Vec<NameExplanation> = controllers.collect();
-    let everyday = found.usefulness.iter().flat_map(|usefulness| usefulness.space_summaries());
-    let own = plan.rate_spaces.iter().chain(&plan.search_spaces);
-    let own = own.map(|named| {
-        let explanation =
-            built_in_space_summary(&named.space).unwrap_or_else(|| first_clause(&named.space.spec().about));
-        (named.space.name().to_owned(), explanation.to_owned())
+    let spaces = plan.all_spaces().into_iter().map(|space| {
+        let explanation = built_in_space_summary(&space).unwrap_or_else(|| first_clause(&space.spec().about));
+        NameExplanation { name: format!("space `{}`", space.name()), explanation: explanation.to_owned() }
     });
-    for (name, explanation) in own.chain(everyday) {
-        let name = format!("space `{name}`");
-        if !all.iter().any(|known| known.name == name) {
-            all.push(NameExplanation { name, explanation });
-        }
-    }
-    all
+    controllers.chain(spaces).collect()
 }
 
 /// Returns the text before the first `.` or `:` that is not part of a word or number.
@@ -199,7 +180,7 @@ fn describe_process(process: &ProcessController) -> &'static str {
     if process.setup().program.is_some() { "FMU" } else { "process" }
 }
 
-fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledger) -> Vec<ClaimRow> {
+fn claim_rows(plan: &AssessmentPlan, found: &AssessmentReport) -> Vec<ClaimRow> {
     let mut rows = Vec::new();
     let mut add = |part, words: Option<String>, claims: Vec<Option<AssuranceClaim>>| {
         let Some(first) = claims.iter().flatten().next() else { return };
@@ -208,7 +189,7 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
         }
         let claim = words.unwrap_or_else(|| first.describe());
         let status = |claim: &Option<AssuranceClaim>| {
-            claim.as_ref().map_or_else(ClaimStatus::default, |one| ledger.claim_status(one))
+            claim.as_ref().map_or_else(ClaimStatus::default, |one| found.evidence.claim_status(one))
         };
         let statuses = claims.iter().map(status).collect();
         rows.push(ClaimRow { claim, part, claims, statuses });
@@ -221,10 +202,10 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
         (0..plan.controllers.len()).map(claim).collect()
     };
     let own = plan.config.estimator;
-    if let Some(paper) = found.paper {
+    if let Some(paper) = &found.paper_scenarios {
         add("paper", None, of_all(Property::NoContact, paper.domain(), own));
     }
-    if let Some(traffic) = found.traffic {
+    if let Some(traffic) = &found.file_scenarios {
         add("traffic", None, of_all(Property::NoContact, traffic.domain(), own));
     }
     for claims in Suites::claims(plan) {
@@ -253,7 +234,7 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
     for searched in &found.searches.spaces {
         add("search", None, of_all(Property::NoContact, searched.domain(plan), own));
     }
-    if let Some(usefulness) = found.usefulness {
+    if let Some(usefulness) = &found.usefulness {
         let [traffic, danger] = usefulness.domains();
         add("usefulness", None, of_all(Property::NoUnnecessaryBraking, traffic.clone(), own));
         add("usefulness", None, of_all(Property::KeepsUp, traffic.clone(), own));
@@ -289,10 +270,6 @@ fn claim_rows(plan: &AssessmentPlan, found: &GatheredEvidence<'_>, ledger: &Ledg
 }
 
 impl ReportPart for ClaimSummary {
-    fn anchor_and_title(&self) -> (&'static str, String) {
-        ("verdict", "Claims".to_owned())
-    }
-
     fn write(&self, out: &mut ReportDocument) {
         out.collapsible("names of controllers and spaces", |out| out.table(&self.name_table()));
         out.paragraph(LEGEND);

@@ -3,29 +3,26 @@
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::sampling::{RunSummary, run_samples, share_panel, simulate_each};
-use super::{PercentInterval, StringStabilityVerdict};
-use crate::assessment::case::CaseVerdict;
+use super::StringStabilityVerdict;
+use super::everyday_drives::{BrakingRate, EverydayDrive, braking_rates};
+use super::sampling::{draw_scenarios, run_samples, simulate_each};
+use super::share::{CONFIDENCE, PercentInterval, ShareFigure};
 use crate::assessment::claims::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, UncomparedText,
 };
 use crate::assessment::document::ReportDocument;
-use crate::assessment::gate::SpaceTally;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::rounded::or_dash;
+use crate::assessment::run_ends::RunEnds;
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, ReportPart, Rounded};
 use crate::draw::{Ink, Marker, Svg};
-use crumple_evidence::exposure::IntervalEstimate;
-use crumple_world::measure::{self, FollowingMeasures, HARD_BRAKE_MPS2, UNNECESSARY_MARGIN_MPS2};
-use crumple_world::observation::EstimatorKind;
-use crumple_world::scenario::space::{ScenarioSpace, built_in_space, built_in_space_summary, file as space_file};
-use crumple_world::scenario::{GhostObject, Scenario, SensorFaults, speed_dip};
-use crumple_world::sim::{FailedControllerRuns, NamedController, RecordingLevel, RunOptions, SimulationResult};
+use crumple_world::measure::{HARD_BRAKE_MPS2, UNNECESSARY_MARGIN_MPS2};
+use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as space_file};
+use crumple_world::scenario::speed_dip;
+use crumple_world::sim::{FailedControllerRuns, NamedController, RecordingLevel, RunOptions};
 
 const ANCHOR: &str = "usefulness";
-
-const CONFIDENCE: f64 = 0.95;
 
 /// The built-in spaces of everyday traffic and of dangerous scenarios.
 pub(in crate::assessment) const EVERYDAY_SPACES: [&str; 2] = ["traffic", "high-risk"];
@@ -115,45 +112,8 @@ pub struct ControllerUsefulness {
     pub high_risk_percent: PercentInterval,
 }
 
-/// Unnecessary braking per hour, with the exact interval of independent brakings at 95 %.
-#[derive(Debug, Clone, Serialize, Deserialize)]
-#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
-pub struct BrakingRate {
-    /// Sensor faults.
-    pub sensors: String,
-    /// Number of brakings.
-    pub count: u64,
-    /// Hours of driving.
-    pub hours: Rounded<2>,
-    /// Brakings per hour.
-    pub per_hour: Rounded<1>,
-    /// Lower and upper end of the interval, per hour.
-    pub interval: [Rounded<1>; 2],
-}
-
-/// Returns names and faults of the sensors in everyday drives. The first has none.
-fn sensor_conditions() -> [(&'static str, SensorFaults); 3] {
-    let degraded = SensorFaults {
-        latency_s: 0.2,
-        gap_resolution_m: 0.5,
-        outage_rate_per_s: 0.5,
-        outage_length_s: 0.5,
-        ..SensorFaults::default()
-    };
-    let object = GhostObject { onset_s: 5.0, duration_s: 0.5, gap_m: 20.0, speed_mps: 0.0 };
-    let ghost = SensorFaults { ghost: Some(object), ..SensorFaults::default() };
-    [("no fault", SensorFaults::default()), ("degraded", degraded), ("ghost", ghost)]
-}
-
 fn all_answered(unanswered: &[Option<FailedControllerRuns>; 2]) -> bool {
     unanswered.iter().all(Option::is_none)
-}
-
-struct EverydayDrive {
-    verdict: CaseVerdict,
-    usefulness: Option<measure::UsefulnessMeasures>,
-    /// Duration until the end or a collision, in seconds.
-    duration_s: f64,
 }
 
 impl UsefulnessReport {
@@ -176,10 +136,9 @@ impl UsefulnessReport {
             Ok::<_, CacheError>(ContentId::new(space.name(), text))
         };
         let spaces = [content_id(&traffic)?, content_id(&high_risk)?];
-        let random_scenarios =
-            |space: ScenarioSpace| (0..count).map(|index| space.draw(seed, index)).collect::<Result<Vec<_>, _>>();
-        let (traffic, high_risk, line) =
-            (random_scenarios(traffic)?, random_scenarios(high_risk)?, speed_dip(FOLLOWERS, TIME_GAP_S)?);
+        let traffic = draw_scenarios(&traffic, seed, 0..count)?;
+        let high_risk = draw_scenarios(&high_risk, seed, 0..count)?;
+        let line = speed_dip(FOLLOWERS, TIME_GAP_S)?;
         let platoon = ContentId::from_scenario("a platoon of five vehicles whose leader slows down", &line);
         let useful = |controller: &NamedController| -> Result<ControllerUsefulness, AssessError> {
             let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
@@ -200,26 +159,14 @@ impl UsefulnessReport {
         self.spaces.clone().map(|space| Domain::Draws { space, seed, draws })
     }
 
-    pub(super) fn space_summaries(&self) -> Vec<(String, String)> {
-        let of = |name: &str| Some((name.to_owned(), built_in_space_summary(&built_in_space(name)?)?.to_owned()));
-        EVERYDAY_SPACES.iter().filter_map(|name| of(name)).collect()
-    }
-
     pub(in crate::assessment) fn find(&self, controller: &str) -> Option<&ControllerUsefulness> {
         self.controllers.iter().find(|useful| useful.controller == controller)
     }
 
-    /// Returns the counts of a controller in a space, if it is one of the two.
-    pub(in crate::assessment) fn space_tally(&self, controller: &str, space: &str) -> Option<SpaceTally> {
-        let (place, useful) = (EVERYDAY_SPACES.iter().position(|known| *known == space)?, self.find(controller)?);
-        let failures = [useful.failures, useful.high_risk_failures];
-        let unanswered = useful.unanswered_runs()[place];
-        Some(SpaceTally {
-            scenarios: self.random_scenarios,
-            collisions: failures[place].saturating_sub(unanswered),
-            unanswered,
-            ended_by_others: useful.ended_by_others[place],
-        })
+    /// Returns the number and the ends of the runs of a controller in a space, if it is one of the two.
+    pub(in crate::assessment) fn space_ends(&self, controller: &str, space: &str) -> Option<(u64, RunEnds)> {
+        let place = EVERYDAY_SPACES.iter().position(|known| *known == space)?;
+        Some((self.random_scenarios, self.find(controller)?.ends(place)))
     }
 
     pub(in crate::assessment) fn platoon_domain(&self) -> Domain {
@@ -231,30 +178,22 @@ impl UsefulnessReport {
         let made = format!("{} drives, seed {}", self.random_scenarios, self.seed);
         let mut all = Vec::new();
         for (subject, useful) in plan.claim_subjects().into_iter().zip(&self.controllers) {
-            let touching = |place: usize, failures: u64| failures.saturating_sub(useful.unanswered_runs()[place]);
-            let [in_traffic, in_danger] = &useful.unanswered;
-            let counts = [
-                (Property::NoContact, &traffic, touching(0, useful.failures), useful.ended_by_others[0], in_traffic),
-                (Property::NoUnnecessaryBraking, &traffic, useful.unnecessary_braking, 0, in_traffic),
-                (Property::KeepsUp, &traffic, useful.left_behind, 0, in_traffic),
-                (
-                    Property::NoContact,
-                    &danger,
-                    touching(1, useful.high_risk_failures),
-                    useful.ended_by_others[1],
-                    in_danger,
-                ),
-            ];
-            let (property, domain) = (Property::StringStable, self.platoon_domain());
-            let line = AssuranceClaim { subject: subject.clone(), property, domain };
-            let source = EvidenceSource::from_part(ANCHOR, "one run of a platoon");
-            all.push(Evidence { claim: line, strength: useful.string_stability.strength(), source });
-            for (property, domain, failures, ended_by_others, unanswered) in counts {
-                let (telling, refutes) = (self.random_scenarios - ended_by_others, property == Property::NoContact);
-                let strength = Strength::from_counts_with_unanswered(failures, telling, unanswered.as_ref(), refutes);
+            let mut add = |property, domain: &Domain, strength, made: &str| {
                 let claim = AssuranceClaim { subject: subject.clone(), property, domain: domain.clone() };
-                all.push(Evidence { claim, strength, source: EvidenceSource::from_part(ANCHOR, made.as_str()) });
+                all.push(Evidence { claim, strength, source: EvidenceSource::from_part(ANCHOR, made) });
+            };
+            let stability = useful.string_stability.strength();
+            add(Property::StringStable, &self.platoon_domain(), stability, "one run of a platoon");
+            let (runs, [in_traffic, in_danger]) = (self.random_scenarios, [0, 1].map(|place| useful.ends(place)));
+            add(Property::NoContact, &traffic, in_traffic.strength(runs), &made);
+            let driving =
+                [(Property::NoUnnecessaryBraking, useful.unnecessary_braking), (Property::KeepsUp, useful.left_behind)];
+            for (property, failures) in driving {
+                let unanswered = in_traffic.unanswered.as_ref();
+                let strength = Strength::from_counts_with_unanswered(failures, runs, unanswered, false);
+                add(property, &traffic, strength, &made);
             }
+            add(Property::NoContact, &danger, in_danger.strength(runs), &made);
         }
         all
     }
@@ -336,7 +275,7 @@ impl UsefulnessReport {
             ("hit from behind (traffic, high-risk)", &|one| ReportCell::number(pair(one.was_hit))),
         ];
         let all_answered = self.controllers.iter().all(|one| all_answered(&one.unanswered));
-        ReportTable::from_items_without(&self.controllers, &columns, all_answered.then_some(1))
+        ReportTable::from_items(&self.controllers, &columns).without_column(all_answered.then_some(1))
     }
 
     /// Unnecessary braking per hour, without and with sensor faults.
@@ -376,76 +315,24 @@ impl UsefulnessReport {
 
     /// Draws both shares: one row per controller, 0 at the left, lower is better.
     pub(super) fn figure(&self, id: &str) -> Svg {
-        let names: Vec<_> = self.controllers.iter().map(|useful| useful.controller.as_str()).collect();
-        let title = "Failures in high-risk (×), unnecessary braking (○)";
-        let (mut panel, size) = share_panel(title, "Share of random scenarios (%)", &names, 36.0);
-        for (index, useful) in self.controllers.iter().enumerate() {
-            let row = (names.len() - 1 - index) as f64;
-            let sides = [
-                (useful.high_risk_percent, row + 0.15, Ink::Alert, Marker::Cross),
-                (useful.unnecessary_braking_percent, row - 0.15, Ink::Series(0), Marker::Ring),
-            ];
-            for (share, y, ink, marker) in sides {
-                share.add_to(&mut panel, y, ink, marker);
-            }
-        }
+        let rows = self.controllers.iter().map(|useful| {
+            let failures = (useful.high_risk_percent, 0.15, Ink::Alert, Marker::Cross);
+            let braking = (useful.unnecessary_braking_percent, -0.15, Ink::Series(0), Marker::Ring);
+            (useful.controller.as_str(), vec![failures, braking])
+        });
         let of = |useful: &ControllerUsefulness| {
             let (fails, brakes) = (useful.high_risk_percent.observed, useful.unnecessary_braking_percent.observed);
             let name = &useful.controller;
             format!("{name} fails in {fails} % of high-risk, brakes unnecessarily in {brakes} % of traffic")
         };
-        let description = self.controllers.iter().map(of).collect::<Vec<_>>().join("; ");
-        Svg::new(id, size, "Safety and usefulness", &description, panel.draw(&Svg::id(id, "panel")))
-    }
-}
-
-/// Measures unnecessary braking per hour under each condition of the sensors. Leaves out conditions that a controller
-/// refuses, as a shield does, and all faults if the controller observes the true state.
-fn braking_rates(
-    traffic: &[Scenario],
-    drives: &[EverydayDrive],
-    options: &RunOptions,
-) -> Result<Vec<BrakingRate>, AssessError> {
-    let mut rates = Vec::new();
-    for (sensors, faults) in sensor_conditions() {
-        if !faults.is_any() {
-            rates.push(BrakingRate::new(sensors, drives));
-        } else if options.estimator == EstimatorKind::Kalman {
-            let faulty = |one: &Scenario| one.edited(|spec| spec.sensors.faults = faults.clone());
-            let faulty = traffic.iter().map(faulty).collect::<Result<Vec<_>, _>>()?;
-            let drives = simulate_each(&faulty, options, RecordingLevel::Trace, EverydayDrive::new);
-            rates.extend(drives.ok().map(|drives| BrakingRate::new(sensors, &drives)));
-        }
-    }
-    Ok(rates)
-}
-
-impl BrakingRate {
-    fn new(sensors: &str, drives: &[EverydayDrive]) -> Self {
-        let count = drives.iter().filter_map(|drive| drive.usefulness).map(|useful| useful.unnecessary.count as u64);
-        let (count, hours) = (count.sum(), drives.iter().map(|drive| drive.duration_s).sum::<f64>() / 3600.0);
-        let IntervalEstimate { estimate, lower, upper } = IntervalEstimate::poisson_rate(count, hours);
-        Self {
-            sensors: sensors.to_owned(),
-            count,
-            hours: hours.into(),
-            per_hour: estimate.into(),
-            interval: [Rounded::down(lower), Rounded::up(upper)],
-        }
-    }
-}
-
-impl EverydayDrive {
-    fn new(scenario: &Scenario, simulated: &SimulationResult) -> Self {
-        let ego = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index));
-        let usefulness = simulated
-            .trace
-            .as_ref()
-            .zip(ego)
-            .and_then(|(trace, ego)| measure::UsefulnessMeasures::from_trace(trace, &simulated.impacts, ego));
-        let end_s = simulated.outcome.contact().map(|contact| contact.time_s);
-        let duration_s = end_s.unwrap_or(scenario.spec().duration_s);
-        Self { verdict: CaseVerdict::new(simulated, scenario), usefulness, duration_s }
+        let figure = ShareFigure {
+            heading: "Failures in high-risk (×), unnecessary braking (○)",
+            axis: "Share of random scenarios (%)",
+            title: "Safety and usefulness",
+            description: &self.controllers.iter().map(of).collect::<Vec<_>>().join("; "),
+            row_height: 36.0,
+        };
+        figure.draw(id, &rows.collect::<Vec<_>>())
     }
 }
 
@@ -456,75 +343,15 @@ impl ControllerUsefulness {
         self.unanswered.each_ref().map(|unanswered| unanswered.as_ref().map_or(0, |unanswered| unanswered.runs))
     }
 
-    fn new(
-        controller: &NamedController,
-        drives: &[EverydayDrive],
-        danger: &[RunSummary],
-        line: StringStabilityVerdict,
-    ) -> Self {
-        // A drive without an answer is no evidence about driving or keeping up.
-        let answered = |drive: &&EverydayDrive| !matches!(drive.verdict, CaseVerdict::ControllerFailed { .. });
-        let all: Vec<_> = drives.iter().filter(answered).filter_map(|drive| drive.usefulness).collect();
-        let mut unanswered = [None, None];
-        drives.iter().for_each(|drive| FailedControllerRuns::merge(&mut unanswered[0], drive.verdict.unanswered()));
-        danger.iter().for_each(|run| FailedControllerRuns::merge(&mut unanswered[1], run.verdict.unanswered()));
-        let count = |is: &dyn Fn(&measure::UsefulnessMeasures) -> bool| all.iter().filter(|one| is(one)).count() as u64;
-        let mean = |of: &dyn Fn(&measure::UsefulnessMeasures) -> Option<f64>| {
-            let (sum, n) = all.iter().filter_map(of).fold((0.0, 0_u32), |(sum, n), value| (sum + value, n + 1));
-            (n > 0).then(|| Rounded::new(sum / f64::from(n)))
-        };
-        let following = |of: fn(FollowingMeasures) -> Option<f64>| mean(&|one| one.following.and_then(of));
-        let needless = count(&|one| !one.unnecessary.is_empty());
-        // The results of these drives are unknown.
-        let unanswered_drives = unanswered[0].as_ref().map_or(0, |runs: &FailedControllerRuns| runs.runs);
-        let in_traffic = EndCounts::from_verdicts(drives.iter().map(|drive| &drive.verdict));
-        let in_danger = EndCounts::from_verdicts(danger.iter().map(|run| &run.verdict));
-        let percent = |counts, runs: usize| PercentInterval::clopper_pearson(counts, runs as u64, CONFIDENCE);
-        Self {
-            controller: controller.name.clone(),
-            failures: in_traffic.failures,
-            unanswered,
-            ended_by_others: [in_traffic.ended_by_others, in_danger.ended_by_others],
-            high_risk_failures: in_danger.failures,
-            hit: [in_traffic.hit, in_danger.hit],
-            was_hit: [in_traffic.was_hit, in_danger.was_hit],
-            unnecessary_braking: needless,
-            unnecessary_braking_percent: percent([needless, unanswered_drives], drives.len()),
-            unnecessary_braking_rates: Vec::new(),
-            unnecessary_braking_s: mean(&|one| Some(one.unnecessary.time_s)),
-            hard_braking: count(&|one| !one.hard.is_empty()),
-            left_behind: count(&|one| one.following.is_some_and(|following| following.fell_behind)),
-            progress: following(|following| following.progress),
-            time_gap_s: following(|following| following.mean_time_gap_s),
-            time_gap_deviation_s: following(|following| following.time_gap_deviation_s),
-            rms_acceleration_mps2: mean(&|one| one.rms_acceleration_mps2),
-            rms_jerk_mps3: mean(&|one| one.rms_jerk_mps3),
-            induced_brake_mps2: mean(&|one| one.induced.and_then(|imposed| imposed.peak_brake_mps2)),
-            string_stability: line,
-            high_risk_percent: percent([in_danger.failures, in_danger.ended_by_others], danger.len()),
+    /// Returns the ends of the everyday drives (0) or of the dangerous scenarios (1).
+    fn ends(&self, place: usize) -> RunEnds {
+        RunEnds {
+            collisions: self.hit[place] + self.was_hit[place],
+            unanswered: self.unanswered[place].clone(),
+            ended_by_others: self.ended_by_others[place],
+            hit: self.hit[place],
+            was_hit: self.was_hit[place],
         }
-    }
-}
-
-#[derive(Default)]
-struct EndCounts {
-    failures: u64,
-    /// Runs that a collision of other vehicles ended.
-    ended_by_others: u64,
-    hit: u64,
-    was_hit: u64,
-}
-
-impl EndCounts {
-    fn from_verdicts<'a>(verdicts: impl Iterator<Item = &'a CaseVerdict>) -> Self {
-        let mut ends = Self::default();
-        for verdict in verdicts {
-            ends.failures += u64::from(verdict.is_failure());
-            ends.ended_by_others += u64::from(!verdict.is_conclusive());
-            ends.hit += u64::from(matches!(verdict, CaseVerdict::Hit(_)));
-            ends.was_hit += u64::from(matches!(verdict, CaseVerdict::WasHit(_)));
-        }
-        ends
     }
 }
 
@@ -533,10 +360,6 @@ const SENSOR_CONDITIONS: &str = "Unnecessary braking per hour of `traffic`, with
     standing object per drive, reported 20 m ahead for 0.5 s. A dash: the controller refuses sensor faults.";
 
 impl ReportPart for UsefulnessReport {
-    fn anchor_and_title(&self) -> (&'static str, String) {
-        (ANCHOR, "Comfort and unnecessary braking".to_owned())
-    }
-
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(&self.introduction());
         out.table(&self.table());

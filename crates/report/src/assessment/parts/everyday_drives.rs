@@ -1,0 +1,149 @@
+//! Drives in everyday traffic: comfort, and unnecessary braking with and without sensor faults.
+
+use serde::{Deserialize, Serialize};
+
+use super::sampling::{RunSummary, simulate_each};
+use super::share::PercentInterval;
+use super::{ControllerUsefulness, StringStabilityVerdict};
+use crate::assessment::case::CaseVerdict;
+use crate::assessment::run_ends::RunEnds;
+use crate::assessment::{AssessError, Rounded};
+use crumple_evidence::exposure::IntervalEstimate;
+use crumple_world::measure::{self, FollowingMeasures};
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::{GhostObject, Scenario, SensorFaults};
+use crumple_world::sim::{NamedController, RecordingLevel, RunOptions, SimulationResult};
+
+/// Unnecessary braking per hour, with the exact interval of independent brakings at 95 %.
+#[derive(Debug, Clone, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+pub struct BrakingRate {
+    /// Sensor faults.
+    pub sensors: String,
+    /// Number of brakings.
+    pub count: u64,
+    /// Hours of driving.
+    pub hours: Rounded<2>,
+    /// Brakings per hour.
+    pub per_hour: Rounded<1>,
+    /// Lower and upper end of the interval, per hour.
+    pub interval: [Rounded<1>; 2],
+}
+
+/// Returns names and faults of the sensors in everyday drives. The first has none.
+fn sensor_conditions() -> [(&'static str, SensorFaults); 3] {
+    let degraded = SensorFaults {
+        latency_s: 0.2,
+        gap_resolution_m: 0.5,
+        outage_rate_per_s: 0.5,
+        outage_length_s: 0.5,
+        ..SensorFaults::default()
+    };
+    let object = GhostObject { onset_s: 5.0, duration_s: 0.5, gap_m: 20.0, speed_mps: 0.0 };
+    let ghost = SensorFaults { ghost: Some(object), ..SensorFaults::default() };
+    [("no fault", SensorFaults::default()), ("degraded", degraded), ("ghost", ghost)]
+}
+
+pub(super) struct EverydayDrive {
+    verdict: CaseVerdict,
+    usefulness: Option<measure::UsefulnessMeasures>,
+    /// Duration until the end or a collision, in seconds.
+    duration_s: f64,
+}
+
+/// Measures unnecessary braking per hour under each condition of the sensors. Leaves out conditions that a controller
+/// refuses, as a shield does, and all faults if the controller observes the true state.
+pub(super) fn braking_rates(
+    traffic: &[Scenario],
+    drives: &[EverydayDrive],
+    options: &RunOptions,
+) -> Result<Vec<BrakingRate>, AssessError> {
+    let mut rates = Vec::new();
+    for (sensors, faults) in sensor_conditions() {
+        if !faults.is_any() {
+            rates.push(BrakingRate::new(sensors, drives));
+        } else if options.estimator == EstimatorKind::Kalman {
+            let faulty = |one: &Scenario| one.edited(|spec| spec.sensors.faults = faults.clone());
+            let faulty = traffic.iter().map(faulty).collect::<Result<Vec<_>, _>>()?;
+            let drives = simulate_each(&faulty, options, RecordingLevel::Trace, EverydayDrive::new);
+            rates.extend(drives.ok().map(|drives| BrakingRate::new(sensors, &drives)));
+        }
+    }
+    Ok(rates)
+}
+
+impl BrakingRate {
+    fn new(sensors: &str, drives: &[EverydayDrive]) -> Self {
+        let count = drives.iter().filter_map(|drive| drive.usefulness).map(|useful| useful.unnecessary.count as u64);
+        let (count, hours) = (count.sum(), drives.iter().map(|drive| drive.duration_s).sum::<f64>() / 3600.0);
+        let IntervalEstimate { estimate, lower, upper } = IntervalEstimate::poisson_rate(count, hours);
+        Self {
+            sensors: sensors.to_owned(),
+            count,
+            hours: hours.into(),
+            per_hour: estimate.into(),
+            interval: [Rounded::down(lower), Rounded::up(upper)],
+        }
+    }
+}
+
+impl EverydayDrive {
+    pub(super) fn new(scenario: &Scenario, simulated: &SimulationResult) -> Self {
+        let ego = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index));
+        let usefulness = simulated
+            .trace
+            .as_ref()
+            .zip(ego)
+            .and_then(|(trace, ego)| measure::UsefulnessMeasures::from_trace(trace, &simulated.impacts, ego));
+        let end_s = simulated.outcome.contact().map(|contact| contact.time_s);
+        let duration_s = end_s.unwrap_or(scenario.spec().duration_s);
+        Self { verdict: CaseVerdict::new(simulated, scenario), usefulness, duration_s }
+    }
+}
+
+impl ControllerUsefulness {
+    pub(super) fn new(
+        controller: &NamedController,
+        drives: &[EverydayDrive],
+        danger: &[RunSummary],
+        line: StringStabilityVerdict,
+    ) -> Self {
+        // A drive without an answer is no evidence about driving or keeping up.
+        let answered = |drive: &&EverydayDrive| !matches!(drive.verdict, CaseVerdict::ControllerFailed { .. });
+        let all: Vec<_> = drives.iter().filter(answered).filter_map(|drive| drive.usefulness).collect();
+        let count = |is: &dyn Fn(&measure::UsefulnessMeasures) -> bool| all.iter().filter(|one| is(one)).count() as u64;
+        let mean = |of: &dyn Fn(&measure::UsefulnessMeasures) -> Option<f64>| {
+            let (sum, n) = all.iter().filter_map(of).fold((0.0, 0_u32), |(sum, n), value| (sum + value, n + 1));
+            (n > 0).then(|| Rounded::new(sum / f64::from(n)))
+        };
+        let following = |of: fn(FollowingMeasures) -> Option<f64>| mean(&|one| one.following.and_then(of));
+        let needless = count(&|one| !one.unnecessary.is_empty());
+        let in_traffic = RunEnds::from_verdicts(drives.iter().map(|drive| &drive.verdict));
+        let in_danger = RunEnds::from_verdicts(danger.iter().map(|run| &run.verdict));
+        let percent = |counts, runs: usize| PercentInterval::clopper_pearson(counts, runs as u64);
+        Self {
+            controller: controller.name.clone(),
+            failures: in_traffic.failures(),
+            ended_by_others: [in_traffic.ended_by_others, in_danger.ended_by_others],
+            high_risk_failures: in_danger.failures(),
+            hit: [in_traffic.hit, in_danger.hit],
+            was_hit: [in_traffic.was_hit, in_danger.was_hit],
+            // The results of drives without an answer are unknown.
+            unnecessary_braking_percent: percent([needless, in_traffic.unanswered_runs()], drives.len()),
+            high_risk_percent: percent([in_danger.failures(), in_danger.ended_by_others], danger.len()),
+            unanswered: [in_traffic.unanswered, in_danger.unanswered],
+            unnecessary_braking: needless,
+            unnecessary_braking_rates: Vec::new(),
+            unnecessary_braking_s: mean(&|one| Some(one.unnecessary.time_s)),
+            hard_braking: count(&|one| !one.hard.is_empty()),
+            left_behind: count(&|one| one.following.is_some_and(|following| following.fell_behind)),
+            progress: following(|following| following.progress),
+            time_gap_s: following(|following| following.mean_time_gap_s),
+            time_gap_deviation_s: following(|following| following.time_gap_deviation_s),
+            rms_acceleration_mps2: mean(&|one| one.rms_acceleration_mps2),
+            rms_jerk_mps3: mean(&|one| one.rms_jerk_mps3),
+            induced_brake_mps2: mean(&|one| one.induced.and_then(|imposed| imposed.peak_brake_mps2)),
+            string_stability: line,
+        }
+    }
+}
