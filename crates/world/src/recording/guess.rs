@@ -89,17 +89,25 @@ impl Columns {
         };
         self.0.iter().find(fits).map(|(name, _)| name)
     }
+}
 
-    /// Returns the names of units, first those in the names of columns.
-    fn units_by_name(&self, all: &[(&'static str, f64)], columns: [Option<&String>; 3]) -> Vec<&'static str> {
-        let is_in_name = |unit: &str| {
-            let word = unit.replace('/', "");
-            columns.into_iter().flatten().any(|column| words(column).contains(&word))
+/// Returns the unit in the name of a column, or `other`.
+fn unit_of<U: serde::de::DeserializeOwned>(all: &[(&'static str, f64)], column: &str, other: &str) -> Option<U> {
+    let words = words(column);
+    let is_named = |(unit, _): &&(&str, f64)| {
+        let alias = match *unit {
+            "km/h" => "kph",
+            "m/s" => "mps",
+            "ft/s" => "fps",
+            "ft" => "feet",
+            unit => unit,
         };
-        let mut units: Vec<&str> = all.iter().map(|(name, _)| *name).collect();
-        units.sort_by_key(|unit| !is_in_name(unit));
-        units
-    }
+        let plain = unit.replace('/', "");
+        words.iter().any(|word| *word == plain || word == alias)
+    };
+    // Longer units contain shorter ones.
+    let named = all.iter().filter(is_named).max_by_key(|(unit, _)| unit.len());
+    serde_json::from_value(named.map_or(other, |(unit, _)| unit).into()).ok()
 }
 
 /// Splits a name into words in lower case, at punctuation and where capitals begin; also the words joined in pairs.
@@ -124,11 +132,6 @@ fn words(name: &str) -> Vec<String> {
     words
 }
 
-/// Returns the unit that a map names so.
-fn unit_named<U: serde::de::DeserializeOwned>(name: &str) -> Option<U> {
-    serde_json::from_value(name.into()).ok()
-}
-
 /// Returns the candidate maps, the likeliest first.
 fn candidates(columns: &Columns) -> Vec<RecordingMapSpec> {
     let Some(time) = columns.find(TIMES, &[SPACINGS]) else { return Vec::new() };
@@ -139,29 +142,34 @@ fn candidates(columns: &Columns) -> Vec<RecordingMapSpec> {
     let position = columns.find(POSITIONS, &[SPEEDS]);
     let event = columns.find(EVENTS, &[TIMES]);
     let mut maps = Vec::new();
-    // Seconds, and units of epoch times, need no name.
-    let is_named = |(unit, _): &&(&str, f64)| *unit != "s" && words(time).iter().any(|word| word == unit);
-    let time_unit = TimeUnit::ALL.iter().find(is_named).and_then(|(unit, _)| unit_named(unit));
-    let speed_units = columns.units_by_name(SpeedUnit::ALL, [own, leader, relative]);
-    let length_units = columns.units_by_name(LengthUnit::ALL, [spacing, position, None]);
-    for &speed_unit in &speed_units {
-        for &unit in &length_units {
-            let (Some(speed_unit), Some(unit)) = (unit_named(speed_unit), unit_named(unit)) else {
-                continue;
-            };
-            let speed = |column: &String| SpeedSpec { column: column.clone(), unit: speed_unit, acceleration: None };
+    // Epoch times need no name.
+    let time_unit = unit_of(TimeUnit::ALL, time, "").filter(|unit| *unit != TimeUnit::Seconds);
+    for (speed_unit, _) in SpeedUnit::ALL {
+        for (length_unit, _) in LengthUnit::ALL {
+            let speed_unit = |column: &str| unit_of(SpeedUnit::ALL, column, speed_unit).unwrap_or_default();
+            let length_unit = |column: &str| unit_of(LengthUnit::ALL, column, length_unit).unwrap_or_default();
+            let speed =
+                |column: &String| SpeedSpec { column: column.clone(), unit: speed_unit(column), acceleration: None };
             let from = Spacing::BumperToBumper;
             let mut add = |layout| {
                 let time = TimeSpec::Clock(ClockSpec { column: time.clone(), unit: time_unit });
-                maps.push(RecordingMapSpec::new("draft".to_owned(), time, layout));
+                let map = RecordingMapSpec::new("draft".to_owned(), time, layout);
+                if !maps.contains(&map) {
+                    maps.push(map);
+                }
             };
             let vehicle = columns.find(VEHICLES, &[LANES, TIMES, SPEEDS, SPACINGS, LENGTHS, POSITIONS]);
             if let (Some(vehicle), Some(position), Some(own)) = (vehicle, position, own) {
-                let length = columns.find(LENGTHS, &[]).cloned().map(|name| LengthColumnSpec { name, unit });
+                let length = columns.find(LENGTHS, &[]);
+                let length = length.map(|name| LengthColumnSpec { name: name.clone(), unit: length_unit(name) });
                 add(LayoutSpec::Tracks(TracksSpec {
                     vehicle: vehicle.clone(),
                     lane: columns.find(LANES, &[]).cloned(),
-                    position: PositionSpec { column: position.clone(), unit, of: ReferencePoint::Front },
+                    position: PositionSpec {
+                        column: position.clone(),
+                        unit: length_unit(position),
+                        of: ReferencePoint::Front,
+                    },
                     speed: speed(own),
                     length: length.map_or(LengthSpec::Metres(super::CAR_LENGTH_M), LengthSpec::Column),
                     lane_blip_s: 0.5,
@@ -169,19 +177,23 @@ fn candidates(columns: &Columns) -> Vec<RecordingMapSpec> {
                 continue;
             }
             let Some(spacing) = spacing else { continue };
-            for sign in [Sign::LeaderMinusFollower, Sign::FollowerMinusLeader] {
-                let relative_speed =
-                    relative.map(|name| RelativeSpeedSpec { column: name.clone(), unit: speed_unit, sign });
-                if relative_speed.is_none() && sign == Sign::FollowerMinusLeader {
-                    continue;
-                }
+            for (own, leader, sign) in [
+                (own, leader, Sign::LeaderMinusFollower),
+                (own, leader, Sign::FollowerMinusLeader),
+                (leader, own, Sign::LeaderMinusFollower),
+                (leader, own, Sign::FollowerMinusLeader),
+            ] {
                 add(LayoutSpec::Pairs(PairsSpec {
                     event: event.cloned(),
-                    spacing: SpacingSpec { column: spacing.clone(), unit, from },
+                    spacing: SpacingSpec { column: spacing.clone(), unit: length_unit(spacing), from },
                     length_m: None,
                     follower_speed: own.map(speed),
                     leader_speed: leader.map(speed),
-                    relative_speed,
+                    relative_speed: relative.map(|name| RelativeSpeedSpec {
+                        column: name.clone(),
+                        unit: speed_unit(name),
+                        sign,
+                    }),
                 }));
             }
         }
@@ -189,11 +201,11 @@ fn candidates(columns: &Columns) -> Vec<RecordingMapSpec> {
     maps
 }
 
-/// Drafts a map of a recording: the first candidate whose columns do not contradict each other. `None` if no candidate
-/// can be read.
+/// Drafts a map of a recording: the first candidate whose columns do not contradict each other. Units in names of
+/// columns are kept. `None` without candidates.
 ///
 /// # Errors
-/// [`RecordingError`] for a file that cannot be read with any map.
+/// [`RecordingError`] for a file that cannot be read with any candidate.
 pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
     let names = binary::column_names(path)?;
     let built_in = match names.first().map(String::as_str) {
@@ -206,7 +218,7 @@ pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
         return Ok(Some(MapDraft { map: map.spec().clone(), built_in, recording }));
     }
     let columns = Columns(names.into_iter().map(|name| (name.clone(), words(&name))).collect());
-    let mut second_choice = None;
+    let (mut second_choice, mut contradiction) = (None, None);
     for map in candidates(&columns) {
         let Ok(checked) = RecordingMap::new(map.clone()) else { continue };
         match load_first_rows(path, &checked) {
@@ -221,11 +233,16 @@ pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
                 }
                 second_choice.get_or_insert(draft);
             }
-            Err(RecordingError::Line { problem: LineProblem::Column { .. }, .. }) => {}
+            Err(error @ RecordingError::Line { problem: LineProblem::Column { .. }, .. }) => {
+                contradiction.get_or_insert(error);
+            }
             Err(error) => return Err(error),
         }
     }
-    Ok(second_choice)
+    match contradiction {
+        Some(error) if second_choice.is_none() => Err(error),
+        _ => Ok(second_choice),
+    }
 }
 
 #[cfg(test)]
@@ -244,19 +261,21 @@ mod tests {
         assert!(matches!(guess(&path).unwrap().expect("a draft").map.layout, LayoutSpec::Tracks(_)));
     }
 
-    /// Units and signs follow from the consistency of gaps and speeds, whatever the names say.
+    /// Units and signs follow from the consistency of gaps and speeds, unless names state them; exchanged names do not.
     #[test]
     fn drafts_read_the_speeds_of_the_recording() {
         let folder = tempfile::tempdir().unwrap();
         for (unit, mps) in SpeedUnit::ALL {
             for sign in [1.0, -1.0] {
                 let (time, per_second) = if sign > 0.0 { ("Zeit [s]", 1.0) } else { ("zeit_ms", 1000.0) };
-                let mut text = format!("{time};Event;Abstand [m];v_ego;v_rel\n");
+                // A unit in a name differs from that of other columns.
+                let (name, rel_mps) = if sign > 0.0 { ("v_rel", *mps) } else { ("v_rel_fps", 0.3048) };
+                let mut text = format!("{time};Event;Abstand [m];v_ego;{name}\n");
                 let mut gap_m = 40.0;
                 for tenth in 0..400 {
                     let at_s = f64::from(tenth) / 10.0;
                     let (own_mps, relative_mps) = (20.0 + (0.3 * at_s).sin(), 12.0 * (0.5 * at_s).cos());
-                    let (own, relative) = (own_mps / mps, sign * relative_mps / mps);
+                    let (own, relative) = (own_mps / mps, sign * relative_mps / rel_mps);
                     text += &format!("{};a;{gap_m};{own};{relative}\n", at_s * per_second);
                     gap_m += 0.1 * relative_mps;
                 }

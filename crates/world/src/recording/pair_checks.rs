@@ -21,11 +21,7 @@ impl EventReader<'_> {
         let unit = |speed: &Option<SpeedSpec>| speed.as_ref().map_or(1.0, |speed| speed.unit.factor());
         let (leader_unit, follower_unit) = (unit(&pairs.leader_speed), unit(&pairs.follower_speed));
         let relative_unit = pairs.relative_speed.as_ref().map_or(1.0, |speed| speed.unit.factor());
-        let of_speeds = || {
-            let both = units([false, true, true], &difference, leader_unit).filter(|_| leader_unit == follower_unit);
-            let each = units([false, true, false], &leader, leader_unit);
-            both.chain(each).chain(units([false, false, true], &follower, follower_unit))
-        };
+        let of_speeds = || Hypothesis::speeds([(&leader, leader_unit), (&follower, follower_unit)], &difference);
         let flipped = |factors, reason| iter::once(Hypothesis { factors, reason });
         let wrong_sign = |factors| flipped(factors, format!("{relative} has the opposite sign"));
         let closing: Vec<_> = wrong_sign([-1.0, 1.0, 1.0])

@@ -16,7 +16,7 @@ use std::ops::Range;
 use super::consistency::{Comparison, Hypothesis};
 use super::dropped::{DroppedItem, Omission};
 use super::error::RecordingError;
-use super::map::{LengthUnit, PlatoonSpec, RecordingMapSpec, SpeedUnit};
+use super::map::{LengthUnit, PlatoonSpec, RecordingMapSpec};
 use super::parts::{PartBounds, PartSink};
 use super::platoon_columns::{PlatoonColumns, PlatoonHeader};
 use super::series::{ColumnQuantity, Series, interpolate_holes};
@@ -120,28 +120,25 @@ impl PlatoonSamples<'_> {
         mut dropped: Vec<DroppedItem>,
     ) -> Result<Recording, RecordingError> {
         let Self { map, platoon, header, speeds, gaps, time_s, line } = self;
-        let mut comparison = Comparison::default();
+        let (speed, spacing) = (platoon.speed.unit.factor(), platoon.spacing.unit.factor());
         for (ahead, gap) in gaps {
             let (Some(leader), Some(follower)) = (speeds.get(ahead), speeds.get(&(ahead + 1))) else { continue };
-            comparison.restart();
+            let mut comparison = Comparison::default();
             let samples = time_s.iter().zip(line).zip(&gap.values).zip(leader.values.iter().zip(&follower.values));
             for (((&at_s, &line), &gap_m), (leader, follower)) in samples {
                 let rates_mps = leader.zip(*follower).map(|(leader, follower)| [leader, -follower]);
                 comparison.add((at_s, line), gap_m, rates_mps);
             }
-        }
-        let (speed, spacing) = (&platoon.speed, &platoon.spacing);
-        let hypotheses: Vec<_> =
-            Hypothesis::units(&speed.column, (SpeedUnit::ALL, speed.unit.factor()), [false, true, true])
-                .chain(Hypothesis::units(
-                    &spacing.column,
-                    (LengthUnit::ALL, spacing.unit.factor()),
-                    [true, false, false],
-                ))
+            let names = [&leader.column.name, &follower.column.name];
+            let difference = format!("{} - {}", names[0], names[1]);
+            let gap = &gap.column.name;
+            let hypotheses: Vec<_> = Hypothesis::speeds([(names[0], speed), (names[1], speed)], &difference)
+                .chain(Hypothesis::units(gap, (LengthUnit::ALL, spacing), [true, false, false]))
                 .chain(Hypothesis::times(&map.time, time_factor))
                 .collect();
-        let columns = [format!("the change of {}", spacing.column), format!("the difference of {}", speed.column)];
-        comparison.check(table, &speed.column, [&columns[0], &columns[1]], (&hypotheses, &mut dropped))?;
+            let columns = [&format!("the change of {gap}"), &*difference];
+            comparison.check(table, &difference, columns, (&hypotheses, &mut dropped))?;
+        }
 
         let mut filled = |series: &Series| {
             let mut values = series.values.clone();

@@ -204,6 +204,12 @@ impl<'a> CsvRow<'a> {
     }
 }
 
+/// Returns whether a text stands for a missing value.
+pub(super) fn is_missing(text: &str) -> bool {
+    const MARKS: [&str; 7] = ["", "-", "nan", "na", "n/a", "none", "null"];
+    text.len() <= 4 && MARKS.iter().any(|mark| text.eq_ignore_ascii_case(mark))
+}
+
 /// Returns the beginning of a text, on one line.
 pub(super) fn excerpt(text: &str) -> String {
     const MAX_LENGTH: usize = 40;

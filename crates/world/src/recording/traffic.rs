@@ -12,7 +12,7 @@ use super::map::{LengthSpec, LengthUnit, RecordingMapSpec, SpeedUnit, TracksSpec
 use super::parts::{ALL_TIMES, MAX_POINTS, PART_ROWS, PartBounds, PartSink};
 use super::series::{Clock, ColumnQuantity, Series};
 use super::spill::SpilledPoints;
-use super::table::{CsvColumn, CsvRow, RowCounter, RowReader, excerpt};
+use super::table::{CsvColumn, CsvRow, RowCounter, RowReader, excerpt, is_missing};
 use super::tracks::{self, TrackPoint, TrackRules, VehicleId};
 use super::{RecordedTraffic, Recording, RecordingFormat, TextFormat};
 
@@ -49,7 +49,7 @@ pub(super) fn read(
         counter.check_row(row)?;
         let time_s = clock.read(row)?;
         // SUMO writes a row without values for a time without vehicles.
-        if [vehicle.index, position.column.index, speed.column.index].iter().all(|&index| row.text(index).is_empty()) {
+        if [vehicle.index, position.column.index, speed.column.index].iter().all(|&index| is_missing(row.text(index))) {
             continue;
         }
         let vehicle = vehicles.index(row, &vehicle)?;
@@ -215,11 +215,11 @@ struct TextIds {
 impl TextIds {
     fn index(&mut self, row: &CsvRow<'_>, column: &CsvColumn) -> Result<u32, RecordingError> {
         let text = row.text(column.index);
-        if text.is_empty() {
-            return row.reject(&column.name, ColumnProblem::Empty);
-        }
-        if self.last.0 == text {
+        if self.last.0 == text && !text.is_empty() {
             return Ok(self.last.1);
+        }
+        if is_missing(text) {
+            return row.reject(&column.name, ColumnProblem::Empty);
         }
         self.last.0.clear();
         self.last.0 += text;
