@@ -268,9 +268,11 @@ mod tests {
         for (unit, mps) in SpeedUnit::ALL {
             for sign in [1.0, -1.0] {
                 let (time, per_second) = if sign > 0.0 { ("Zeit [s]", 1.0) } else { ("zeit_ms", 1000.0) };
-                // A unit in a name differs from that of other columns.
-                let (name, rel_mps) = if sign > 0.0 { ("v_rel", *mps) } else { ("v_rel_fps", 0.3048) };
-                let mut text = format!("{time};Event;Abstand [m];v_ego;{name}\n");
+                // Units in names may differ. Without them, both speeds have one unit.
+                let own_name = format!("v_ego_{}", unit.replace('/', ""));
+                let (own_name, name, rel_mps) =
+                    if sign > 0.0 { ("v_ego", "v_rel", *mps) } else { (&*own_name, "v_rel_fps", 0.3048) };
+                let mut text = format!("{time};Event;Abstand [m];{own_name};{name}\n");
                 let mut gap_m = 40.0;
                 for tenth in 0..400 {
                     let at_s = f64::from(tenth) / 10.0;
