@@ -67,6 +67,7 @@ class Group:
         self.avoided_active = sum(a and b for a, b in zip(active, avoided))
         caused = [a and not b for a, b in zip(behind, behind_0)]
         self.caused = sum(caused)
+        self.prevented_active = sum(a and c and not b for a, b, c in zip(active, behind, behind_0))
         self.caused_active = sum(a and c for a, c in zip(active, caused))
         self.harm = 1000 * sum(harm) / n
         self.harm_error = 1960 * math.sqrt(sum((1 * h - self.harm / 1000) ** 2 for h in harm) / n / n)
@@ -141,13 +142,28 @@ def print_group(key, controllers, passing, rate):
               f"| {one.harm_saved:.1f} ± {one.harm_saved_error:.1f} |")
     if key[1] != "all":
         return
-    print(f"\n| controller | activations | avoided ahead per 100 | caused behind per 100 | harm saved per 100 "
-          f"| avoided ahead per 1000 h | caused behind per 1000 h | harm saved per 1000 h |{chr(10)}{'|---' * 8}|")
+    print(f"\n| controller | activations | avoided ahead per 100 | caused behind per 100 | prevented behind per 100 "
+          "| harm saved per 100 | avoided ahead per 1000 h | caused behind per 1000 h | harm saved per 1000 h |\n"
+          + "|---" * 9 + "|")
     for name, one in controllers.items():
-        active = [percent(count, one.activations) for count in (one.avoided_active, one.caused_active)]
+        counts = (one.avoided_active, one.caused_active, one.prevented_active)
+        active = [percent(count, one.activations) for count in counts]
         hourly = [percent(count, one.drives, 1000 * rate) for count in (one.avoided, one.caused)]
-        print(f"| {name} | {one.activations} | {' | '.join(active)} | {one.harm_saved_active:.2f} | {' | '.join(hourly)} "
-              f"| {rate * one.harm_saved:.2f} ± {rate * one.harm_saved_error:.2f} |")
+        print(f"| {name} | {one.activations} | {' | '.join(active)} | {one.harm_saved_active:.2f} "
+              f"| {' | '.join(hourly)} | {rate * one.harm_saved:.2f} ± {rate * one.harm_saved_error:.2f} |")
+
+
+def print_followers(groups):
+    """Prints what the brakes of the sensitivity table cause and save, by driver and class of the follower."""
+    print("\n### By follower\n\n| follower | drives | " + " | ".join(
+        f"{name}: caused per 100 | saved per 1000" for name in COMPARED[1:]) + " |\n" + "|---" * 8 + "|")
+    for (_, follower), controllers in sorted(groups.items()):
+        if follower.endswith((" light", " heavy")):
+            brakes = [controllers[name] for name in COMPARED[1:] if name in controllers]
+            cells = [f"{percent(one.caused_active, one.activations)} "
+                     f"| {one.harm_saved:.1f} ± {one.harm_saved_error:.1f}" for one in brakes]
+            drives = next(iter(controllers.values())).drives
+            print(f"| {follower} | {drives} | " + " | ".join(cells) + " |")
 
 
 def front(points):
@@ -186,13 +202,13 @@ def draw(path, title, note, controllers, passing, limit):
     if limit is not None:
         out.append(f'<text x="{left + 6}" y="{top + size[1] + 62}" fill="#555">{limit}</text>')
     taken = [(x(own[0]), y(own[1])) for own in points.values()]
-    around = ((13, -10), (-13, -10), (13, 10), (-13, 10), (0, -15), (0, 15))
+    around = ((0, -15), (0, 15), (17, -10), (-17, -10), (17, 10), (-17, 10))
     places = [(far * dx, far * dy) for far in (1, 2, 3) for dx, dy in around]
     for number, name in enumerate(points, 1):
         px, py = (x(points[name][0]), y(points[name][1]))
         free = [(px + dx, py + dy) for dx, dy in places
                 if all(abs(px + dx - tx) > 15 or abs(py + dy - ty) > 11 for tx, ty in taken)]
-        lx, ly = (free or [(px + 13, py - 10)])[0]
+        lx, ly = (free or [(px, py - 15)])[0]
         taken.append((lx, ly))
         color = {"yes": "#0060a0", "no": "#c04000"}.get(passing.get(name), "#555")
         out.append(f'<circle cx="{px:.1f}" cy="{py:.1f}" r="4" fill="{color}"/>')
@@ -225,6 +241,7 @@ def show(folder, figures):
     compared = compare(groups, avoidable, report)
     print(f"{compared} figures of the report agree with the runs.")
     passing, rate = suite_verdicts(report), report["harm"]["emergencies_per_hour"]
+    print_followers(groups)
     for key, controllers in groups.items():
         yes, no, examined = avoidable[key]
         print_group(key, controllers, passing, rate)

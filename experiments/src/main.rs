@@ -5,11 +5,13 @@
 
 mod both_sides;
 mod chasing_cars;
+mod falsification;
 mod filter_errors;
 mod learning_curve;
 mod plants_and_sensors;
 mod scenario_of_input;
 mod search_comparison;
+mod transmission;
 
 /// Problems that the benches measure, too.
 #[allow(dead_code, unreachable_pub, reason = "a problem has functions that only a bench uses")]
@@ -28,7 +30,7 @@ struct Experiment {
     run: fn(&[String]) -> Result<(), ExperimentError>,
 }
 
-const EXPERIMENTS: [Experiment; 7] = [
+const EXPERIMENTS: [Experiment; 8] = [
     Experiment {
         name: "both_sides",
         arguments: "RUNS CONTROLLER... [FIGURE.svg] [MEASURED.csv] [space=SPACE]... [seed=N] [estimator=truth] \
@@ -41,6 +43,7 @@ const EXPERIMENTS: [Experiment; 7] = [
     Experiment { name: "plants_and_sensors", arguments: "RUNS CONTROLLER...", run: plants_and_sensors::run },
     Experiment { name: "scenario_of_input", arguments: "INPUT", run: scenario_of_input::run },
     Experiment { name: "search_comparison", arguments: "EVALUATIONS SEEDS", run: search_comparison::run },
+    Experiment { name: "transmission", arguments: "FIRST_SEED SEEDS [METHOD]", run: transmission::run },
 ];
 
 fn main() -> ExitCode {

@@ -179,7 +179,9 @@ impl Check {
         let found = certificate.read_policy(path, self.policy.as_deref());
         // The reference policy need not be next to its certificate.
         let is_of_reference = match &certificate.statement {
-            Statement::Reach(reach) => reach.policy_sha256 == Policy::reference().digest(),
+            Statement::Reach(_) | Statement::Invariant(_) => {
+                certificate.policy_reference().is_some_and(|(_, digest)| digest == Policy::reference().digest())
+            }
             _ => false,
         };
         Ok(found.or_else(|| (is_of_reference && self.policy.is_none()).then(|| Policy::reference_bytes().to_vec())))

@@ -24,6 +24,7 @@ mod fsck;
 mod import;
 mod import_openscenario;
 mod interrupt;
+mod invariant;
 mod list;
 mod new;
 mod output;

@@ -10,7 +10,7 @@ use serde::Serialize;
 use super::output;
 use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::OutputFormat;
-use super::{CliError, args, exposure, interrupt, progress, rare, reach, value_enums};
+use super::{CliError, args, exposure, interrupt, invariant, progress, rare, reach, value_enums};
 use crumple_evidence::exposure::RatePerExposure;
 use crumple_evidence::rare::{RarePlan, SplittingConfig};
 use crumple_evidence::{
@@ -34,6 +34,7 @@ enum VerifySubcommand {
     Shield(ShieldCommand),
     Rate(Box<RateCommand>),
     Reach(Box<reach::ReachCommand>),
+    Invariant(Box<invariant::InvariantCommand>),
 }
 
 /// Certify the safety kernel of a shield, one certificate for each pair of vehicle classes
@@ -140,6 +141,7 @@ impl Verify {
             VerifySubcommand::Shield(shield) => shield.run(),
             VerifySubcommand::Rate(rate) => rate.run(quiet),
             VerifySubcommand::Reach(reach) => reach.run(quiet),
+            VerifySubcommand::Invariant(invariant) => invariant.run(quiet),
         }
     }
 }

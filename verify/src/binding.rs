@@ -6,6 +6,7 @@
 
 use crate::canonical::{is_sha256, sha256};
 use crate::certificate::{Assumption, Certificate, CertificateProvenance, Statement};
+use crate::invariant::NetworkReference;
 use crate::rate::Registration;
 use crate::reach::controller_file_name;
 use crate::{Rejection, rate};
@@ -41,6 +42,15 @@ pub(crate) fn check(certificate: &Certificate) -> Result<(), Rejection> {
                 return Err(Rejection::invalid("provenance.box_text", "is missing"));
             }
             check_policy_file_name(&claim.policy_file, &claim.policy_sha256, claim.source.is_some())
+        }
+        Statement::Invariant(claim) => {
+            check_source(provenance)?;
+            if provenance.box_text.is_none() {
+                return Err(Rejection::invalid("provenance.box_text", "is missing"));
+            }
+            let check =
+                |of: &NetworkReference| check_policy_file_name(&of.policy_file, &of.policy_sha256, of.source.is_some());
+            claim.network().map_or(Ok(()), check)
         }
         Statement::Rate(claim) => {
             check_space(provenance, &claim.registration, false)?;

@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use crate::bounded;
 use crate::canonical;
 use crate::claim::{ConstantPiece, MAX_EGOS, MAX_STEPS, Scene};
+use crate::invariant::InvariantClaim;
 use crate::kernel::KernelClaim;
 use crate::rate::{ComparisonClaim, RateClaim};
 use crate::reach::ReachClaim;
@@ -94,6 +95,9 @@ pub enum Assumption {
     ExpWithin,
     /// The network file has the meaning of its source file and controller file.
     NetworkAsRead,
+    /// The leader's acceleration and speed stay within the stated limits, and the own speed within the stated range.
+    /// The claim ends if they leave.
+    SpeedsWithin,
     /// Runs are independent samples, and the registration was made before the first of them.
     RegisteredDraws,
     /// Noise is that of the scenario's seed, contained in the stated accelerations. The only optional assumption.
@@ -121,6 +125,9 @@ impl std::fmt::Display for Assumption {
             Self::NetworkAsRead => {
                 "the network is the one of its source file, as crumple read it, with the mapping stated"
             }
+            Self::SpeedsWithin => {
+                "the speeds of both vehicles and the leader's acceleration stay within the stated limits"
+            }
             Self::RegisteredDraws => "runs are independent samples, registered before the first run",
             Self::NoiseOfSeed => "noise is that of the scenario's seed",
         })
@@ -145,6 +152,8 @@ pub enum Statement {
     Comparison(ComparisonClaim),
     /// A policy avoids collisions from parts of a box.
     Reach(ReachClaim),
+    /// A controller keeps a set of states, in which it never collides.
+    Invariant(Box<InvariantClaim>),
 }
 
 impl Statement {
@@ -159,6 +168,7 @@ impl Statement {
             Self::Rate(_) => "rate",
             Self::Comparison(_) => "comparison",
             Self::Reach(_) => "reach",
+            Self::Invariant(_) => "invariant",
         }
     }
 
@@ -169,7 +179,7 @@ impl Statement {
             Self::Avoidable(claim) => Some(&claim.scene),
             Self::Unavoidable(claim) => Some(&claim.scene),
             Self::GapBound(claim) => Some(&claim.scene),
-            Self::Kernel(_) | Self::Rate(_) | Self::Comparison(_) | Self::Reach(_) => None,
+            Self::Kernel(_) | Self::Rate(_) | Self::Comparison(_) | Self::Reach(_) | Self::Invariant(_) => None,
         }
     }
 
@@ -184,6 +194,17 @@ impl Statement {
                 return vec![Assumption::ExactMotion, Assumption::LeaderWithinLimit, Assumption::EgoCanBrake];
             }
             Self::Rate(_) | Self::Comparison(_) => return vec![Assumption::RegisteredDraws],
+            Self::Invariant(claim) => {
+                let always = [Assumption::ExactMotion, Assumption::LeaderWithinLimit, Assumption::PolicyDrives];
+                let network = claim.network();
+                let of_source = [Assumption::ExpWithin, Assumption::NetworkAsRead];
+                let of_source = of_source.into_iter().filter(|_| network.is_some_and(|of| of.source.is_some()));
+                return (always.into_iter().chain([Assumption::ObservedWithin]))
+                    .chain(network.map(|_| Assumption::TanhWithin))
+                    .chain(of_source)
+                    .chain([Assumption::SpeedsWithin])
+                    .collect();
+            }
             Self::Reach(claim) => {
                 let about_leader = match claim.leader_brakes_at_most_mps2 {
                     Some(_) => Assumption::LeaderWithinLimit,
@@ -304,6 +325,9 @@ impl Certificate {
     pub fn policy_reference(&self) -> Option<(&str, &str)> {
         match &self.statement {
             Statement::Reach(claim) => Some((&claim.policy_file, &claim.policy_sha256)),
+            Statement::Invariant(claim) => {
+                claim.network().map(|network| (network.policy_file.as_str(), network.policy_sha256.as_str()))
+            }
             _ => None,
         }
     }

@@ -2,7 +2,7 @@
 //!
 //! crumple simulates, searches and solves convex programs. It writes each conclusion to a file together with a proof.
 //! This crate accepts or rejects the file, without random numbers. Modules in reading order: [`interval`], [`claim`],
-//! [`motion`], [`avoidable`], [`unavoidable`], [`polynomial`], [`kernel`], [`rate`], [`reach`],
+//! [`motion`], [`avoidable`], [`unavoidable`], [`polynomial`], [`kernel`], [`rate`], [`reach`], [`invariant`],
 //! [`certificate`], [`scope`], [`work`].
 //!
 //! # What is claimed
@@ -16,6 +16,7 @@
 //! - *Gap bound*: no such choice keeps every gap larger than stated.
 //! - *Reach*: with the stated network, no initial state in the verified parts of the box leads to a collision. Instead
 //!   of following a script, the leader may brake arbitrarily within a limit.
+//! - *Invariant*: from every state of a set, the stated controller never collides with a leader within limits.
 //! - *Kernel*, *rate*, *fails less often*: these concern no single scene; their modules state them.
 //!
 //! # What is assumed
@@ -60,6 +61,7 @@ mod canonical;
 pub mod certificate;
 pub mod claim;
 pub mod interval;
+pub mod invariant;
 pub mod kernel;
 pub mod motion;
 pub mod polynomial;
@@ -75,6 +77,7 @@ pub use certificate::{
 };
 pub use claim::{ConstantPiece, Scene, SceneEgo, SceneFollower, SceneLeader};
 pub use interval::Interval;
+pub use invariant::InvariantClaim;
 pub use kernel::KernelClaim;
 pub use rate::{ComparisonClaim, RateClaim, Registration};
 pub use reach::ReachClaim;
@@ -137,6 +140,15 @@ pub enum ProvedClaim {
         has_follower: bool,
         /// Limit within which the leader brakes arbitrarily, in m/s²; `None` for a scripted leader.
         leader_brakes_at_most_mps2: Option<f64>,
+    },
+    /// No state of a set ever leads to a collision.
+    Invariant {
+        /// Lower bound of the set's share of the region's volume.
+        share: f64,
+        /// Lower bound of all gaps, in metres.
+        min_gap_m: f64,
+        /// True if the own speed provably stays within the table; otherwise the claim ends if it leaves.
+        own_speed_is_kept: bool,
     },
 }
 
@@ -232,6 +244,13 @@ impl std::fmt::Display for ProvedClaim {
                 if *has_follower { "with a vehicle behind" } else { "with no vehicle behind" },
                 (1e4 * falsified_share).floor() / 1e2
             ),
+            Self::Invariant { share, min_gap_m, own_speed_is_kept } => write!(
+                formatter,
+                "invariant: from a set with {:.2} % of the region's volume, no gap is ever smaller than {} m{}",
+                (1e4 * share).floor() / 1e2,
+                scope::round_down(*min_gap_m),
+                if *own_speed_is_kept { "" } else { ", until the own speed leaves its range" }
+            ),
         }
     }
 }
@@ -308,6 +327,14 @@ pub enum Rejection {
         /// Reason.
         problem: String,
     },
+    /// A state of a set may leave it.
+    #[error("cell {cell} of the set: a state may leave the set; {missing_m} m are missing")]
+    LeavesSet {
+        /// Index of the cell.
+        cell: usize,
+        /// Missing height, in metres.
+        missing_m: f64,
+    },
     /// Checking exceeds the operation limit: the claim stays undecided.
     #[error("the check takes more than the allowed {limit} operations")]
     BudgetExceeded {
@@ -366,5 +393,6 @@ pub fn check_with(
         Statement::Rate(claim) => rate::check_rate(claim, work),
         Statement::Comparison(claim) => rate::check_comparison(claim, work),
         Statement::Reach(claim) => reach::check(claim, policy, certificate.is_first_version(), work),
+        Statement::Invariant(claim) => invariant::check(claim, policy, work),
     }
 }

@@ -6,6 +6,7 @@ use std::fmt;
 use crate::certificate::{Certificate, Statement};
 use crate::claim::{ConstantPiece, Scene, SceneEgo};
 use crate::interval::Interval;
+use crate::invariant::{InvariantClaim, InvariantController, MotionModel};
 use crate::kernel::KernelClaim;
 use crate::rate::Registration;
 use crate::reach::{BoxDimension, NetworkFileSource, ReachClaim};
@@ -41,6 +42,7 @@ impl Certificate {
             Statement::Rate(claim) => runs_scope(&claim.registration),
             Statement::Comparison(claim) => runs_scope(&claim.registration),
             Statement::Reach(claim) => reach_scope(claim),
+            Statement::Invariant(claim) => invariant_scope(claim),
         };
         scope.about = self.describe_subject();
         scope.covers_after_horizon = matches!(self.statement, Statement::Avoidable(_));
@@ -238,6 +240,40 @@ fn reach_scope(claim: &ReachClaim) -> Scope {
         format_number(largest)
     )];
     Scope { behind: Some(behind), ..partial_scope(Some(claim.horizon_s()), vehicles, limits) }
+}
+
+fn invariant_scope(claim: &InvariantClaim) -> Scope {
+    let [own, leader, _] = claim.axes;
+    let driver = match &claim.controller {
+        InvariantController::Law(law) => {
+            format!("{law}, with a set speed of at most {} m/s", claim.initial_own_mps_at_most)
+        }
+        InvariantController::Network(network) => {
+            format!("driven by the {}", describe_network(&network.policy_sha256, network.source.as_ref()))
+        }
+    };
+    let [least, most] = claim.leader_mps2;
+    let [brake, accel] = claim.own_mps2;
+    let accelerates = format!("accelerates as it likes from {least} to {most} m/s²");
+    let (leader, speed) = match claim.motion {
+        MotionModel::Absolute => (format!("leader: {} to {} m/s, {accelerates}", leader.low, leader.high), "speed"),
+        MotionModel::Relative => (format!("leader: any speed, {accelerates}; no standstill"), "closing speed"),
+    };
+    let own = format!(
+        "under test: {speed} up to {} m/s (at the start {}), from {brake} to {accel} m/s², {driver}",
+        own.high, claim.initial_own_mps_at_most
+    );
+    let largest = claim.observation_error.iter().copied().fold(0.0, f64::max);
+    let ends = claim.ends_beyond_gap_m.map(|gap_m| format!("until a gap exceeds {gap_m} m"));
+    let limits = vec![format!(
+        "a decision every {} steps of {} s; observations err by at most {} (m, m/s)",
+        claim.decision_steps,
+        claim.step_s,
+        format_number(largest)
+    )];
+    let limits = limits.into_iter().chain(ends).collect();
+    let behind = Some("behind: not considered".to_owned());
+    Scope { behind, ..partial_scope(Some(f64::INFINITY), vec![leader, own], limits) }
 }
 
 /// Rounds a lower bound down to four significant digits.

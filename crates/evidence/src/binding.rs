@@ -5,9 +5,10 @@
 use std::path::Path;
 
 use crumple_verify::reach::{BoxDimension, NeuralController};
-use crumple_verify::{Certificate, ReachClaim, Registration, Statement};
+use crumple_verify::{Certificate, InvariantClaim, ReachClaim, Registration, Statement};
 
 use super::initial_set::InitialSet;
+use super::invariant::{InvariantSpec, has_frame};
 use super::reach::BoxSpec;
 use super::script::{self, ScriptBeyondLimit};
 use super::{InvalidRate, RateConfig, RatePlan};
@@ -107,6 +108,7 @@ pub fn check_binding(certificate: &Certificate, policy: Option<&[u8]>) -> Result
     match &certificate.statement {
         Statement::Kernel(_) => Ok(()),
         Statement::Reach(claim) => check_box(certificate, claim, policy),
+        Statement::Invariant(claim) => check_invariant(certificate, claim, policy),
         Statement::Rate(claim) => check_registration(certificate, &claim.registration),
         Statement::Comparison(claim) => check_registration(certificate, &claim.registration),
         // All other statements are about a scene.
@@ -229,6 +231,23 @@ fn check_box(certificate: &Certificate, claim: &ReachClaim, policy: Option<&[u8]
     } else {
         Err(mismatch("policy_file", "commands accelerations that the vehicle cannot execute"))
     }
+}
+
+fn check_invariant(
+    certificate: &Certificate,
+    claim: &InvariantClaim,
+    policy: Option<&[u8]>,
+) -> Result<(), BindingError> {
+    let scenario = read_scenario(certificate)?;
+    let text = certificate.provenance.box_text.as_ref();
+    let text = text.ok_or(BindingError::Missing { field: BOX_TEXT_FIELD })?;
+    let spec = InvariantSpec::from_toml(text, Path::new(BOX_TEXT_FIELD))?;
+    if spec.scenario != certificate.provenance.scenario {
+        return Err(mismatch(BOX_TEXT_FIELD, "belongs to another scenario"));
+    }
+    // The checker has compared the digest of the policy.
+    let frame = spec.frame(&scenario, claim.network().and(policy))?;
+    if has_frame(claim, frame) { Ok(()) } else { Err(scene_mismatch()) }
 }
 
 pub(super) fn read_space(certificate: &Certificate) -> Result<ScenarioSpace, BindingError> {

@@ -1,11 +1,12 @@
 //! Report of the checker on a certificate, for readers and for programs.
 
+use super::binding::read_space;
 use super::{BindingError, Confirmation, check_binding, count_omitted_vehicles};
 use crumple_core::quoting::TerminalText;
 use crumple_verify::certificate::UNVERIFIED_COUNTS_CAVEAT;
 use crumple_verify::{Certificate, ProvedClaim, Scope, Statement, WorkLimit, check, check_with};
 use crumple_world::scenario::space::{built_in_space, file as space_file};
-use crumple_world::scenario::{built_in_scenario, file};
+use crumple_world::scenario::{PlantKind, built_in_scenario, file};
 use serde::Serialize;
 
 /// Report of the checker on a certificate.
@@ -153,16 +154,17 @@ impl CertificateReport<'_> {
         Some(built_in.is_ok_and(|built_in| built_in == *text))
     }
 
-    /// Returns the plants of a space; other statements have them as an assumption.
-    fn plants(&self) -> &'static str {
-        let text = self.certificate.provenance.scenario_text.as_deref();
-        match (&self.certificate.statement, text) {
-            (Statement::Rate(_) | Statement::Comparison(_), Some(text)) if text.contains("\"multi-body\"") => {
-                "  some of its vehicles have the plant `multi-body`\n"
-            }
-            (Statement::Rate(_) | Statement::Comparison(_), Some(_)) => "  its vehicles have the plant `point-mass`\n",
-            _ => "",
-        }
+    /// Returns the plants of a space; `None` for other statements, which have the plants as an assumption.
+    fn plants(&self) -> Option<&'static str> {
+        let (Statement::Rate(_) | Statement::Comparison(_)) = &self.certificate.statement else { return None };
+        let space = read_space(self.certificate).ok()?;
+        let scenario = space.scenario_at(&space.nominal()).ok()?;
+        let is_multi_body = scenario.vehicles().iter().any(|vehicle| vehicle.plant == PlantKind::MultiBody);
+        Some(if is_multi_body {
+            "some of its vehicles have the plant `multi-body`"
+        } else {
+            "its vehicles have the plant `point-mass`"
+        })
     }
 
     fn scope(&self) -> Scope {
@@ -215,7 +217,7 @@ impl CertificateReport<'_> {
         for assumption in &certificate.assumptions {
             text += &format!("  assuming that {assumption}\n");
         }
-        text += self.plants();
+        text += &self.plants().map(|plants| format!("  {plants}\n")).unwrap_or_default();
         let old =
             if certificate.is_first_version() { ", an old one: see docs/certificates.md for its limits" } else { "" };
         text + &format!(
@@ -345,6 +347,9 @@ fn report_line<'a>(one: &'a CertificateReport<'a>, joint_confidence: Option<f64>
         Ok(ProvedClaim::Rate { max_rate, .. }) => line.rate_at_most = Some(max_rate),
         Ok(ProvedClaim::Reach { min_gap_m, verified_share, .. }) => {
             (line.smallest_gap_m, line.verified_share) = (finite(min_gap_m), Some(verified_share));
+        }
+        Ok(ProvedClaim::Invariant { share, min_gap_m, .. }) => {
+            (line.smallest_gap_m, line.verified_share) = (finite(min_gap_m), Some(share));
         }
         _ => {}
     }

@@ -130,18 +130,36 @@ fn follower_model(
     follower: &VehicleSpec,
     in_place: Option<&Driver>,
 ) -> Result<(Option<f64>, Option<FollowerLaw>), InvalidBox> {
-    let max_accel_mps2 = follower.max_accel_mps2();
-    let law = match in_place.unwrap_or(&follower.driver) {
+    let driver = in_place.unwrap_or(&follower.driver);
+    let law = match driver {
         Driver::Controller(ControllerSpec::Baseline(aeb)) => return Ok((Some(aeb.ttc_s), None)),
-        Driver::Controller(ControllerSpec::Idm(idm)) => FollowerLaw::Idm(IdmLaw {
+        Driver::Controller(spec) => control_law(spec, follower.max_accel_mps2()),
+        _ => None,
+    };
+    match law {
+        Some(law) => Ok((None, Some(law))),
+        None => {
+            let problem = format!("must drive with baseline, idm or acc-aeb, found {}", driver.name());
+            Err(match in_place {
+                Some(_) => InvalidBox::field(FOLLOWER_FIELD, problem),
+                None => InvalidBox::field("scenario", format!("its follower {problem}")),
+            })
+        }
+    }
+}
+
+/// Returns the law of `idm` or `acc-aeb` for the checker.
+pub(super) fn control_law(spec: &ControllerSpec, max_accel_mps2: f64) -> Option<FollowerLaw> {
+    match spec {
+        ControllerSpec::Idm(idm) => Some(FollowerLaw::Idm(IdmLaw {
             desired_speed_mps: idm.desired_speed_mps,
             time_headway_s: idm.time_headway_s,
             standstill_gap_m: idm.standstill_gap_m,
             accel_mps2: idm.accel_mps2,
             comfortable_brake_mps2: idm.comfortable_brake_mps2,
             max_accel_mps2,
-        }),
-        Driver::Controller(ControllerSpec::AccAeb(acc)) => FollowerLaw::AccAeb(AccAebLaw {
+        })),
+        ControllerSpec::AccAeb(acc) => Some(FollowerLaw::AccAeb(AccAebLaw {
             ttc_s: acc.ttc_s,
             time_headway_s: acc.time_headway_s,
             standstill_gap_m: acc.standstill_gap_m,
@@ -150,16 +168,9 @@ fn follower_model(
             comfort_brake_mps2: acc.comfort_brake_mps2,
             comfort_accel_mps2: acc.comfort_accel_mps2,
             max_accel_mps2,
-        }),
-        other => {
-            let problem = format!("must drive with baseline, idm or acc-aeb, found {}", other.name());
-            return Err(match in_place {
-                Some(_) => InvalidBox::field(FOLLOWER_FIELD, problem),
-                None => InvalidBox::field("scenario", format!("its follower {problem}")),
-            });
-        }
-    };
-    Ok((None, Some(law)))
+        })),
+        _ => None,
+    }
 }
 
 fn check_leader_limit(limit_mps2: f64, able_mps2: f64, given: &RangesSpec) -> Result<(), InvalidBox> {

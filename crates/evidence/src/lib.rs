@@ -12,6 +12,7 @@ pub mod fit;
 #[cfg(test)]
 mod fixtures;
 mod initial_set;
+mod invariant;
 mod kernel;
 mod method_comparison;
 mod paired;
@@ -28,6 +29,7 @@ pub use binding::{BindingError, ScenarioMismatch, check_binding, check_covers_sc
 pub use block::CountedBlock;
 pub use certificate_report::{CertificateReport, CountsStatus, report_json, report_text};
 pub use crumple_core::interval::RateInterval;
+pub use invariant::{Defeat, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet, InvariantSpec};
 pub use kernel::{kernel_certificate, shipped_kernels};
 pub use method_comparison::{MethodComparison, MethodPair, MethodRuns, PairedTest};
 pub use paired::DiscordantPairs;

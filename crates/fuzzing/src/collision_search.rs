@@ -12,8 +12,8 @@ use crumple_world::sim::{RefusedController, Run, RunError, SimulationResult, Unk
 /// Interval, in inputs, at which all oracles are checked even without new features: they take many times as long as a
 /// run.
 const FULL_CHECK_INTERVAL: usize = 16;
-/// Interval, in inputs, at which avoidability, the last oracle, is checked: the convex programs take most of the time if
-/// they are instrumented.
+/// Interval, in inputs, at which avoidability, the last oracle, is checked: instrumented convex programs take most of
+/// the time.
 const AVOIDABILITY_INTERVAL: usize = 256;
 
 /// A search for collisions: the work of the fuzz target `scenario`.

@@ -91,6 +91,27 @@ fn format_thousands(reward: f64) -> String {
     format!("{} {:03}", reward as i64 / 1000, reward as i64 % 1000)
 }
 
+/// Draws the boundary of an invariant set: the smallest gap against the closing speed, one line for each own speed.
+#[must_use]
+pub fn draw_invariant_set(lines: &[(String, Vec<(f64, f64)>)], most_m: f64) -> Svg {
+    let title = "Smallest gap of the set, in metres";
+    let closing = lines.iter().flat_map(|(_, points)| points.iter().map(|point| point.0));
+    let (low, high) = closing.fold((0.0_f64, 1.0_f64), |(low, high), value| (low.min(value), high.max(value)));
+    let x = Axis::numeric("closing speed, m/s", (low, high), 8);
+    let mut panel = Panel::new(panel_frame(HEADING_HEIGHT), title, x, Axis::numeric("", (0.0, most_m), 6));
+    for (place, (name, points)) in lines.iter().enumerate() {
+        let inside: Vec<_> = points.iter().copied().filter(|point| point.1 <= most_m).collect();
+        panel.add_line(&inside, Stroke::series(place));
+        if let Some(&last) = inside.last() {
+            panel.add_note((last.0, last.1), Anchor::End, name, Ink::Series(place));
+        }
+    }
+    let content = panel.draw(&Svg::id("invariant", "frame"));
+    let description =
+        "From a gap on or above the line of its own speed, the controller never collides with the leader.";
+    Svg::new("invariant", FIGURE_SIZE, title, description, content)
+}
+
 /// Draws a recording: speeds of its vehicles, and the gaps behind them, over time.
 #[must_use]
 pub fn draw_recording(preview: &Preview, file: &str) -> Svg {

@@ -2,7 +2,6 @@
 //!
 //! | module | content |
 //! |---|---|
-//! | [`difference`] | the field in which the configuration of an earlier run differs from the expected one |
 //! | [`disk`] | atomic files: a reader finds the whole file or none |
 //! | [`program`] | the identity of the running program, which unfinished runs record |
 //! | [`run_folder`] | run folders with a manifest: an error names a file that was changed after it was written |

@@ -6,7 +6,7 @@
 use std::convert::Infallible;
 use std::sync::LazyLock;
 
-use rand::{Rng, SeedableRng, TryRng};
+use rand::{Rng, RngExt, SeedableRng, TryRng};
 use rand_distr::{Distribution, StandardNormal};
 use rand_xoshiro::Xoshiro256PlusPlus;
 
@@ -71,6 +71,68 @@ pub fn stream(seed: u64, purpose: Purpose, index: u64) -> Stream {
 pub fn derived_seed(seed: u64, index: u64) -> u64 {
     // A TOML integer is signed, and a scenario file must be able to hold the seed.
     scramble(scramble(seed).wrapping_add(index)) >> 1
+}
+
+/// A share of the noise of a run: all normal numbers of a seed, times a weight.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct NoiseShare {
+    /// Seed of the normal numbers.
+    pub seed: u64,
+    /// Weight. The sum of the squares of all weights is 1.
+    pub weight: f64,
+}
+
+/// Noise of one consumer: normal numbers of one seed, or weighted sums of those of several seeds.
+#[derive(Debug, Clone)]
+pub(crate) struct NoiseStream {
+    stream: Stream,
+    weight: f64,
+    others: Vec<(Stream, f64)>,
+    normals: NormalSampler,
+}
+
+impl NoiseStream {
+    pub(crate) fn new(seed: u64, purpose: Purpose, index: u64) -> Self {
+        Self { stream: stream(seed, purpose, index), weight: 1.0, others: Vec::new(), normals: NormalSampler::new() }
+    }
+
+    /// Creates the noise of shares, the first of which has the seed `seed`; without shares, that of the seed.
+    pub(crate) fn from_shares(seed: u64, shares: &[NoiseShare], purpose: Purpose, index: u64) -> Self {
+        let mut noise = Self::new(seed, purpose, index);
+        if let Some((own, others)) = shares.split_first() {
+            noise.weight = own.weight;
+            noise.others = others.iter().map(|other| (stream(other.seed, purpose, index), other.weight)).collect();
+        }
+        noise
+    }
+
+    #[inline]
+    pub(crate) fn normal(&mut self) -> f64 {
+        let own = self.normals.sample(&mut self.stream);
+        if self.others.is_empty() { own } else { self.add_others(own) }
+    }
+
+    /// Returns the next normal numbers.
+    #[inline]
+    pub(crate) fn normals<const N: usize>(&mut self) -> [f64; N] {
+        // A local copy stays in registers.
+        let mut stream = self.stream.clone();
+        let own = std::array::from_fn(|_| self.normals.sample(&mut stream));
+        self.stream = stream;
+        if self.others.is_empty() { own } else { own.map(|one| self.add_others(one)) }
+    }
+
+    /// Returns a uniform number from 0 to 1, which depends on the first seed only.
+    #[inline]
+    pub(crate) fn uniform(&mut self) -> f64 {
+        self.stream.random()
+    }
+
+    #[cold]
+    fn add_others(&mut self, own: f64) -> f64 {
+        let others = self.others.iter_mut().map(|(stream, weight)| *weight * self.normals.sample(stream));
+        self.weight * own + others.sum::<f64>()
+    }
 }
 
 /// Sampler of normal numbers for inner loops; bit-identical to [`StandardNormal`].
@@ -177,6 +239,19 @@ mod tests {
         }
         assert_eq!(ours, theirs);
         assert!(furthest > 4.5, "the tail was drawn from: {furthest}");
+    }
+
+    #[test]
+    fn shares_of_noise_add_up_one_at_a_time_and_many_at_once() {
+        let shares = [(3, 0.8), (4, 0.6)].map(|(seed, weight)| NoiseShare { seed, weight });
+        let noise = |shares: &[NoiseShare]| NoiseStream::from_shares(3, shares, Purpose::AccelerationNoise, 1);
+        let (mut one, many) = (noise(&shares), noise(&shares).normals::<32>());
+        let mut plain = [3, 4].map(|seed| NoiseStream::new(seed, Purpose::AccelerationNoise, 1));
+        for found in many {
+            let [own, other] = plain.each_mut().map(NoiseStream::normal);
+            assert_eq!([found, found], [0.8 * own + 0.6 * other, one.normal()]);
+        }
+        assert_eq!(noise(&[]).normals::<4>(), NoiseStream::new(3, Purpose::AccelerationNoise, 1).normals());
     }
 
     #[test]

@@ -9,81 +9,44 @@
 
 mod replay;
 
-use rayon::prelude::*;
-
 use self::replay::{finer_robustness, replayed_robustness};
 use crate::ExperimentError;
+use crate::falsification::{Problem, print_table};
 use crate::work::chasing_cars::{ChasingCarsInputs, PIECES, SPECIFICATIONS, robustness};
-use crumple::Method;
 use crumple::search::falsify::UnitCube;
 use crumple::world::measure::stl::Formula;
 
-/// Maximum number of evaluations of a search.
-const BUDGET: usize = 1500;
 /// Minimum violation of a counterexample, in metres.
 const MARGIN_M: f64 = 0.01;
 
-/// Returns the evaluations to the first counterexample; `None` within the budget, or if the replay does not confirm it.
-fn evaluations_to_counterexample(
-    method: &Method,
-    formula: &Formula,
-    seed: u64,
-) -> Result<Option<usize>, ExperimentError> {
-    let mut search = method.start(&UnitCube::new([PIECES, PIECES])?, seed);
-    let mut evaluations = 0;
-    while evaluations < BUDGET {
-        let mut costs = Vec::new();
-        for point in search.ask().into_iter().take(BUDGET - evaluations) {
-            let inputs = ChasingCarsInputs::from_unit(&point);
-            let mut value = robustness(formula, &inputs)?;
-            evaluations += 1;
-            if value < 0.0 {
-                // The search receives the larger value of the two steps.
-                value = value.max(finer_robustness(formula, &inputs)?);
-                if value < -MARGIN_M {
-                    return Ok((replayed_robustness(formula, &inputs)? < -MARGIN_M).then_some(evaluations));
-                }
-            }
-            costs.push(value);
-        }
-        search.tell(&costs);
+/// Returns the value that the search receives, the larger one of both steps, and whether a replay confirms a violation.
+fn evaluate(formula: &Formula, point: &[f64]) -> Result<(f64, bool), ExperimentError> {
+    let inputs = ChasingCarsInputs::from_unit(point);
+    let mut value = robustness(formula, &inputs)?;
+    if value < 0.0 {
+        value = value.max(finer_robustness(formula, &inputs)?);
     }
-    Ok(None)
+    Ok((value, value < -MARGIN_M && replayed_robustness(formula, &inputs)? < -MARGIN_M))
 }
 
-/// Returns the evaluations of the successful searches with successive seeds.
-fn successful_evaluations(
-    method: &Method,
-    specification: &str,
-    first_seed: u64,
-    seeds: u64,
-) -> Result<Vec<usize>, ExperimentError> {
-    let formula: Formula = specification.parse()?;
-    let run = |seed| evaluations_to_counterexample(method, &formula, seed).transpose();
-    (first_seed..first_seed + seeds).into_par_iter().filter_map(run).collect()
-}
-
-fn mean(evaluations: &[usize]) -> f64 {
-    evaluations.iter().sum::<usize>() as f64 / evaluations.len() as f64
+fn problems() -> Result<Vec<Problem<'static>>, ExperimentError> {
+    let problem = |(name, text): (&str, &str)| {
+        let formula: Formula = text.parse()?;
+        let evaluate = move |point: &[f64]| evaluate(&formula, point);
+        Ok(Problem { name: name.to_owned(), cube: UnitCube::new([PIECES, PIECES])?, evaluate: Box::new(evaluate) })
+    };
+    SPECIFICATIONS.into_iter().map(problem).collect()
 }
 
 pub(crate) fn run(arguments: &[String]) -> Result<(), ExperimentError> {
-    let mut arguments = arguments.iter();
-    let first_seed: u64 = arguments.next().ok_or("which first seed?")?.parse()?;
-    let seeds: u64 = arguments.next().ok_or("how many seeds?")?.parse()?;
-    let method: Method = arguments.next().map_or("auto", String::as_str).parse()?;
-    for (name, specification) in SPECIFICATIONS {
-        let found = successful_evaluations(&method, specification, first_seed, seeds)?;
-        let (successes, mean) = (found.len(), mean(&found));
-        println!("{name} {successes} of {seeds}: {mean:.1} evaluations to the first that holds at both steps");
-        println!("  {specification}");
-    }
-    Ok(())
+    print_table(&problems()?, arguments)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::falsification::mean;
+    use crumple::Method;
 
     fn piecewise_inputs(rows: &[(f64, f64, f64)]) -> ChasingCarsInputs {
         let at = |piece: usize| rows.iter().rfind(|row| row.0 <= 5.0 * piece as f64).unwrap();
@@ -110,18 +73,18 @@ mod tests {
 
     #[test]
     fn the_portfolio_falsifies_all_six_with_any_number_of_threads() {
-        for (name, specification) in SPECIFICATIONS {
+        for problem in problems().unwrap() {
             let on = |threads: usize| {
                 let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
-                pool.install(|| successful_evaluations(&Method::Auto, specification, 0, 3).unwrap())
+                pool.install(|| problem.successes(&Method::Auto, 0, 3).unwrap())
             };
             let found = on(2);
-            let most = match name {
+            let most = match problem.name.as_str() {
                 "CC4" => 1500.0,
                 "CC5" | "CCx" => 400.0,
                 _ => 15.0,
             };
-            assert!(found.len() == 3 && mean(&found) <= most, "{name}: {found:?}");
+            assert!(found.len() == 3 && mean(&found) <= most, "{}: {found:?}", problem.name);
             assert_eq!(found, on(1));
         }
     }

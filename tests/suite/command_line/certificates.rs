@@ -2,7 +2,10 @@
 
 use crumple_verify::reach::{FollowerLaw, PartitionCell};
 use crumple_verify::{Certificate, Interval, RateClaim, Registration, Statement};
-use crumple_world::scenario::{Driver, LeadProfile, PiecewiseAcceleration, RampBrake, built_in_scenario, file};
+use crumple_world::scenario::space::{built_in_space, file as space_file};
+use crumple_world::scenario::{
+    Driver, LeadProfile, PiecewiseAcceleration, PlantKind, RampBrake, built_in_scenario, file,
+};
 
 use super::*;
 
@@ -18,6 +21,28 @@ fn write_certificate(folder: &Path, name: &str, certificate: &Certificate) {
 fn write_idm_count(folder: &Path, out: &str, more: &str) {
     let arguments = format!("verify rate --controller idm --estimator truth --runs 300 --out {out}");
     run_ok(folder, &format!("{arguments} --confidence 0.99 {more}"));
+}
+
+#[test]
+fn the_check_of_a_rate_names_the_plant_and_convex_programs_refuse_it() {
+    let folder = temp_folder();
+    let text = space_file::to_toml(&built_in_space("paper").unwrap()).unwrap();
+    // The name of the plant elsewhere is no plant.
+    for (name, driver, plant) in [
+        ("multi-body", "driver = \"under-test\"", "its vehicles have the plant `point-mass`"),
+        ("rich", "driver = \"under-test\"\nplant = \"multi-body\"", "vehicles have the plant `multi-body`"),
+    ] {
+        let text = text.replace("name = \"paper\"", &format!("name = \"{name}\""));
+        fs::write(folder.path().join("space.toml"), text.replace("driver = \"under-test\"", driver)).unwrap();
+        write_idm_count(folder.path(), name, "--space space.toml");
+        let message = run_crumple(folder.path(), &format!("check {name}/certificate.json"));
+        assert_prints(&message, 0, &[plant]);
+    }
+    let rich = built_in_scenario("paper-1").unwrap().with_plant(PlantKind::MultiBody).unwrap();
+    fs::write(folder.path().join("rich.toml"), file::to_toml(&rich).unwrap()).unwrap();
+    let message = run_crumple(folder.path(), "avoid rich.toml");
+    assert_eq!(exit_code(&message), 2);
+    assert!(stderr(&message).contains("the programs model only `point-mass`"), "{}", stderr(&message));
 }
 
 /// Claims the counted failure rate of idm for the baseline, with further changes.
@@ -40,6 +65,7 @@ fn counts_are_the_makers_word_until_they_are_counted_again() {
     let message = check("idm/certificate.json");
     assert!(stdout(&message).contains("if its counts are right"), "{}", stdout(&message));
     assert!(stdout(&message).contains("the counts are not verified"), "{}", stdout(&message));
+    assert!(stdout(&message).contains("its vehicles have the plant `point-mass`"), "{}", stdout(&message));
     let message = check("idm/certificate.json --rerun");
     assert_prints(&message, 0, &["confirmed: all 300 runs were drawn and simulated again"]);
     assert!(!stdout(&message).contains("not verified"));

@@ -59,6 +59,7 @@ const CASES: &[(&str, &str, StartExpectation)] = &[
     ("verify shield", "--help", StartsNothing),
     ("verify rate", "--controller idm --space space.toml --runs 2 --out o", RefusedOrStarts("space.toml:")),
     ("verify reach", "--box driven.toml", StartsNothing),
+    ("verify invariant", "--controller idm --scenario driven.toml", Refused("driven.toml:")),
     ("suite list", "", StartsNothing),
     ("suite run", "driven.toml --controller idm", StartsNothing),
     ("suite table", "--help", StartsNothing),

@@ -133,7 +133,7 @@ impl fmt::Display for FollowerLaw {
 impl FollowerLaw {
     /// # Errors
     /// [`Rejection`] if a parameter is negative or infinite, or a divisor is 0.
-    pub(super) fn validate(self) -> Result<Self, Rejection> {
+    pub(crate) fn validate(self) -> Result<Self, Rejection> {
         let (numbers, divisors): (Vec<f64>, Vec<f64>) = match self {
             Self::Idm(law) => (
                 vec![law.time_headway_s, law.standstill_gap_m, law.max_accel_mps2],
@@ -158,6 +158,26 @@ impl FollowerLaw {
             Ok(self)
         } else {
             Err(Rejection::invalid("follower_law", "holds a number that is negative, infinite, or 0 where it divides"))
+        }
+    }
+
+    /// Returns the commands for observed gaps, own and leader's speeds. `limits` are those of the vehicle, and
+    /// `set_speed` the speeds u of `acc-aeb`.
+    pub(crate) fn command_range(&self, observed: &[AffineForm; 3], set_speed: Interval, limits: Interval) -> Interval {
+        let [gap, speed, leader] = observed.clone();
+        let sight = LawInput { closing: speed.clone().minus(&leader), gap, speed };
+        let brake = AffineForm::constant(-Interval::point(limits.low()));
+        match self {
+            Self::Idm(law) => law.acceleration(&sight, &brake).range(),
+            // The command grows with u. The cruise control alone bounds it for any gap.
+            Self::AccAeb(law) => {
+                let highest = AffineForm::constant(Interval::point(set_speed.high()));
+                let form = law.acceleration(&sight, &highest, &brake).range();
+                let cruise = Interval::point(law.speed_gain_per_s) * (set_speed - sight.speed.range());
+                let cruise = cruise.max(-Interval::point(law.comfort_brake_mps2)).max(Interval::point(limits.low()));
+                let high = form.high().min(cruise.high());
+                Interval::new(form.low().min(cruise.low()).min(high), high).unwrap_or(Interval::ENTIRE)
+            }
         }
     }
 
@@ -219,29 +239,14 @@ impl<'a> LawFollower<'a> {
     }
 
     fn acceleration(&self, sight: &LawInput) -> AffineForm {
-        let hardest = || self.brake.scaled(Interval::point(-1.0));
         match self.law {
             FollowerLaw::Idm(law) => law.acceleration(sight, &self.brake),
-            FollowerLaw::AccAeb(law) => {
-                let guard = law.guard(sight).range();
-                if guard.high() < 0.0 {
-                    return self.clamp_to_limits(&hardest());
-                }
-                let following = self.clamp_to_limits(&law.acc_acceleration(sight, &self.set_speed));
-                if guard.low() >= 0.0 {
-                    return following;
-                }
-                AffineForm::constant(following.range().hull(-self.brake.range()))
-            }
+            FollowerLaw::AccAeb(law) => law.acceleration(sight, &self.set_speed, &self.brake),
         }
     }
 
     fn law_input(&self, ego: &VehicleState, own: &VehicleState) -> LawInput {
         LawInput::new(self.gap(ego, own), own.speed.clone(), own.speed.clone().minus(&ego.speed))
-    }
-
-    fn clamp_to_limits(&self, wanted: &AffineForm) -> AffineForm {
-        clamp_to_limits(wanted, &self.brake, self.law.max_accel_mps2())
     }
 }
 
@@ -249,8 +254,9 @@ impl IdmLaw {
     /// Returns the acceleration of a vehicle that brakes at up to `brake`: the narrower of form and interval.
     fn acceleration(&self, sight: &LawInput, brake: &AffineForm) -> AffineForm {
         let acceleration = clamp_to_limits(&self.desired_acceleration(sight, brake), brake, self.max_accel_mps2);
-        let plain =
-            self.desired_acceleration_interval(sight).max(-brake.range()).min(Interval::point(self.max_accel_mps2));
+        let speed = sight.speed.range().max(Interval::ZERO);
+        let plain = self.desired_acceleration_interval(sight.gap.range(), speed, sight.closing.range());
+        let plain = plain.max(-brake.range()).min(Interval::point(self.max_accel_mps2));
         // For a gap near zero a line is wider than an interval.
         let is_wider = 2.0 * acceleration.radius() > plain.high() - plain.low();
         if is_wider { AffineForm::constant(plain) } else { acceleration }
@@ -275,10 +281,10 @@ impl IdmLaw {
     }
 
     /// Returns the desired acceleration in interval arithmetic, without correlations.
-    fn desired_acceleration_interval(&self, LawInput { gap, speed, closing }: &LawInput) -> Interval {
+    fn desired_acceleration_interval(&self, gap: Interval, speed: Interval, closing: Interval) -> Interval {
         let point = Interval::point;
-        let (speed, gap) = (speed.range().max(Interval::ZERO), gap.range().max(point(MIN_GAP_M)));
-        let wants = speed * point(self.time_headway_s) + speed * closing.range() * self.inverse_twice_geometric_mean();
+        let wants = speed * point(self.time_headway_s) + speed * closing * self.inverse_twice_geometric_mean();
+        let gap = gap.max(point(MIN_GAP_M));
         let share = (point(self.standstill_gap_m) + wants.max(Interval::ZERO)).over(gap);
         let fourth = speed.over(point(self.desired_speed_mps)).sqr().sqr();
         point(self.accel_mps2) * (Interval::ONE - fourth - share.sqr())
@@ -295,6 +301,17 @@ impl AccAebLaw {
         let mut guard = gap.clone();
         guard.add_scaled(closing, -Interval::point(self.ttc_s));
         guard
+    }
+
+    /// Returns the command of a vehicle that brakes at up to `brake`.
+    fn acceleration(&self, sight: &LawInput, set_speed: &AffineForm, brake: &AffineForm) -> AffineForm {
+        let clamp = |wanted: &AffineForm| clamp_to_limits(wanted, brake, self.max_accel_mps2);
+        let guard = self.guard(sight).range();
+        if guard.high() < 0.0 {
+            return clamp(&brake.scaled(Interval::point(-1.0)));
+        }
+        let following = clamp(&self.acc_acceleration(sight, set_speed));
+        if guard.low() >= 0.0 { following } else { AffineForm::constant(following.range().hull(-brake.range())) }
     }
 
     /// Returns the command without the emergency brake.

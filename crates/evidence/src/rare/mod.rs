@@ -21,8 +21,14 @@
 //!
 //! The runs are chosen adaptively, so they cannot count for a certificate; [`RatePlan`](super::RatePlan) does not
 //! accept them. If the likeliest cause of failures is hard to reach, few repetitions find it: estimate and spread are
-//! then far too low, more often than the interval states. Sensor noise is resampled, not guided, so failures that noise
-//! alone causes are found no sooner than by counting.
+//! then far too low, more often than the interval states.
+//!
+//! # Noise
+//!
+//! Noise of accelerations, measurements and initial estimates is normal, and moves by the same autoregressive steps: it
+//! is a weighted sum of the noise of several seeds, and each accepted move adds a seed. Failures that noise causes are
+//! therefore reached step by step. Lost measurements and random controllers depend on the first seed, which only a
+//! quarter of the moves replace.
 
 mod folder;
 mod plan;

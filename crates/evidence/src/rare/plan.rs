@@ -137,9 +137,11 @@ impl LimitState for RarePlan {
     fn margins(&self, states: &[RandomInputs]) -> Result<Vec<f64>, RareError> {
         let scenario = |state: &RandomInputs| {
             let uniform: Vec<f64> = state.normal.iter().map(|&x| normal_cdf(x)).collect();
-            self.space.scenario_at_with_seed(&self.space.quantile(&uniform), state.noise_seed)
+            let seed = state.noise.first().map_or(0, |share| share.seed);
+            let scenario = self.space.scenario_at_with_seed(&self.space.quantile(&uniform), seed)?;
+            Ok(scenario.with_noise_shares(&state.noise))
         };
-        let scenarios = states.par_iter().map(scenario).collect::<Result<Vec<_>, _>>()?;
+        let scenarios = states.par_iter().map(scenario).collect::<Result<Vec<_>, InvalidField>>()?;
         let specification = &self.specification;
         let options = RunOptions::new(self.controller.kind.clone())
             .with_estimator(self.estimator)

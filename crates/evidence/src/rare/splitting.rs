@@ -11,7 +11,7 @@ use statrs::distribution::{ContinuousCDF, StudentsT};
 use super::{Level, RareEstimate, SplittingConfig};
 use crate::RateInterval;
 use crumple_core::observer::{ProgressCounter, Stopped};
-use crumple_world::random::{Purpose, Stream, stream};
+use crumple_world::random::{NoiseShare, Purpose, Stream, stream};
 
 /// Minimum number of runs between checkpoints: writing one costs milliseconds.
 const MIN_RUNS_PER_WRITE: u64 = 500;
@@ -24,7 +24,9 @@ pub const PILOT_FACTORS: [usize; 3] = [1, 2, 4];
 const LATER_PILOT_STREAM_OFFSET: u64 = 1 << 41;
 const LEVEL_SHARE: f64 = 0.2;
 const MOVES_PER_LEVEL: usize = 4;
-/// Share of moves that also resample the noise.
+/// Smallest weight of a share of noise, to save time: all smaller ones change the noise by less than a millionth.
+const MIN_NOISE_WEIGHT: f64 = 1e-8;
+/// Share of moves that resample all noise. It decorrelates runs that do not depend on their noise.
 const NEW_NOISE_SHARE: f64 = 0.25;
 /// Optimal acceptance of a random walk (Papaioannou and others, MCMC algorithms for subset simulation, 2015).
 const TARGET_ACCEPTANCE: f64 = 0.44;
@@ -36,8 +38,8 @@ const MIN_STEP: f64 = 0.02;
 pub(super) struct RandomInputs {
     /// Independent standard normal numbers, one per parameter.
     pub normal: Vec<f64>,
-    /// Seed of all noise.
-    pub noise_seed: u64,
+    /// Noise. The first seed is also that of all other random numbers.
+    pub noise: Vec<NoiseShare>,
 }
 
 /// A problem whose runs have a margin.
@@ -426,7 +428,7 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         let dimension = self.problem.dimension();
         let draw = |random: &mut Stream| RandomInputs {
             normal: (0..dimension).map(|_| StandardNormal.sample(random)).collect(),
-            noise_seed: new_noise_seed(random),
+            noise: vec![NoiseShare { seed: new_noise_seed(random), weight: 1.0 }],
         };
         let states: Vec<RandomInputs> = (0..self.samples).map(|_| draw(&mut self.random)).collect();
         let margins = self.evaluate_margins(&states)?;
@@ -447,25 +449,29 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
     }
 
     /// Moves every run once; a move that would leave the level is rejected. Returns the numbers of accepted and of all
-    /// moves that kept the noise.
+    /// moves that did not resample all noise.
     fn mcmc_move(&mut self, population: &mut [Particle], stage: &SplittingStage) -> Result<(u64, u64), P::Error> {
         // An autoregressive step preserves the normal distribution (Neal, 1998; "preconditioned Crank-Nicolson").
         let kept = (1.0 - stage.step * stage.step).sqrt();
         let propose = |(state, _): &Particle, random: &mut Stream| {
-            let noise =
-                if random.random::<f64>() < NEW_NOISE_SHARE { new_noise_seed(random) } else { state.noise_seed };
-            let mut normal = |x: &f64| -> f64 {
+            let is_all_new = random.random::<f64>() < NEW_NOISE_SHARE;
+            let new = NoiseShare { seed: new_noise_seed(random), weight: if is_all_new { 1.0 } else { stage.step } };
+            let noise = if is_all_new { vec![new] } else { move_noise(&state.noise, kept, new) };
+            let normal = |x: &f64| -> f64 {
                 let drawn: f64 = StandardNormal.sample(random);
                 kept * x + stage.step * drawn
             };
-            RandomInputs { normal: state.normal.iter().map(&mut normal).collect(), noise_seed: noise }
+            (RandomInputs { normal: state.normal.iter().map(normal).collect(), noise }, is_all_new)
         };
-        let proposals: Vec<RandomInputs> = population.iter().map(|sample| propose(sample, &mut self.random)).collect();
+        let (proposals, all_new): (Vec<RandomInputs>, Vec<bool>) =
+            population.iter().map(|sample| propose(sample, &mut self.random)).unzip();
         let margins = self.evaluate_margins(&proposals)?;
         let (mut accepted, mut proposed) = (0, 0);
-        for (sample, (proposal, margin)) in population.iter_mut().zip(proposals.into_iter().zip(margins)) {
+        for ((sample, is_all_new), (proposal, margin)) in
+            population.iter_mut().zip(all_new).zip(proposals.into_iter().zip(margins))
+        {
             let passes = stage.passes(margin);
-            if proposal.noise_seed == sample.0.noise_seed {
+            if !is_all_new {
                 proposed += 1;
                 accepted += u64::from(passes);
             }
@@ -483,6 +489,14 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         self.counter.add(states.len() as u64)?;
         Ok(margins)
     }
+}
+
+/// Returns the noise after an autoregressive step.
+fn move_noise(noise: &[NoiseShare], kept: f64, new: NoiseShare) -> Vec<NoiseShare> {
+    let shrunk = noise.iter().map(|share| NoiseShare { weight: kept * share.weight, ..*share });
+    // The first seed stays, because other random numbers depend on it.
+    let relevant = shrunk.enumerate().filter(|(index, share)| *index == 0 || share.weight > MIN_NOISE_WEIGHT);
+    relevant.map(|(_, share)| share).chain([new]).collect()
 }
 
 /// Returns a seed that fits the signed integers of scenario files.

@@ -139,6 +139,12 @@ impl NetworkController {
         &self.identity
     }
 
+    /// Starts a driver of a vehicle.
+    #[must_use]
+    pub fn start(self: &Arc<Self>, ego: &Ego) -> Box<dyn Controller> {
+        Box::new(NetworkDriver::new(Arc::clone(self), ego))
+    }
+
     fn accelerations_mps2(&self, rows: &[f32], batch: usize, space: &mut Workspace) -> impl Iterator<Item = f64> {
         let width = self.file.network.outputs();
         let answer = self.mapping.output.answer.unwrap_or_default();

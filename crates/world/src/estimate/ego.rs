@@ -2,12 +2,10 @@
 
 use std::sync::Arc;
 
-use rand_distr::{Distribution, StandardNormal};
-
 use super::gap_faults::GapFaults;
 use super::{Accelerometer, DistanceEstimate, Filter, KnownChange, Sensor, Tuning};
 use crate::observation::{Neighbour, Observation};
-use crate::random::{self, Purpose, Stream};
+use crate::random::{NoiseShare, NoiseStream, Purpose};
 use crate::scenario::Sensors;
 
 /// Bandwidth of all three filters, in rad/s.
@@ -88,7 +86,7 @@ pub struct TrueState {
 pub struct EgoEstimator {
     tuning: Arc<EgoTuning>,
     /// Random numbers of initial filter errors.
-    initial_error_stream: Stream,
+    initial_errors: NoiseStream,
     accelerometer: Accelerometer,
     position: (Sensor, Filter),
     ahead: (Sensor, Option<Filter>),
@@ -102,13 +100,25 @@ impl EgoEstimator {
     /// filters are in steady state, as after a drive at constant speed.
     #[must_use]
     pub fn new(seed: u64, vehicle: usize, sensors: &Sensors, tuning: &Arc<EgoTuning>, truth: &TrueState) -> Self {
+        Self::with_noise_shares(seed, &[], vehicle, sensors, tuning, truth)
+    }
+
+    /// Creates them with noise of shares, the first of which has the seed `seed`.
+    pub(crate) fn with_noise_shares(
+        seed: u64,
+        shares: &[NoiseShare],
+        vehicle: usize,
+        sensors: &Sensors,
+        tuning: &Arc<EgoTuning>,
+        truth: &TrueState,
+    ) -> Self {
         let own = &truth.observation;
-        let mut first = random::stream(seed, Purpose::InitialEstimate, vehicle as u64);
+        let mut first = NoiseStream::from_shares(seed, shares, Purpose::InitialEstimate, vehicle as u64);
         let position = steady_filter(&mut first, &tuning.position, truth.position_m, own.speed_mps);
-        let sensor = |purpose, noise_m| Sensor::new(seed, purpose, vehicle, noise_m, sensors);
+        let sensor = |purpose, noise_m| Sensor::with_noise_shares(seed, shares, purpose, vehicle, noise_m, sensors);
         let mut estimator = Self {
             tuning: Arc::clone(tuning),
-            initial_error_stream: first,
+            initial_errors: first,
             accelerometer: Accelerometer::new(own.speed_mps),
             position: (sensor(Purpose::PositionSensor, sensors.position_noise_m), position),
             ahead: (sensor(Purpose::GapAheadSensor, sensors.gap_noise_m), None),
@@ -139,7 +149,7 @@ impl EgoEstimator {
         for (((_, filter), neighbour, sign), _) in sides.into_iter().zip(changed).filter(|(_, changed)| *changed) {
             *filter = neighbour.map(|other| {
                 steady_filter(
-                    &mut self.initial_error_stream,
+                    &mut self.initial_errors,
                     &self.tuning.gap,
                     other.gap_m,
                     sign * (other.speed_mps - own.speed_mps),
@@ -205,8 +215,8 @@ impl EgoEstimator {
 }
 
 /// Creates a filter in steady state with a random initial error.
-fn steady_filter(first: &mut Stream, tuning: &Tuning, distance_m: f64, rate_mps: f64) -> Filter {
-    let normals = [0; 3].map(|_| StandardNormal.sample(first));
+fn steady_filter(errors: &mut NoiseStream, tuning: &Tuning, distance_m: f64, rate_mps: f64) -> Filter {
+    let normals = [0; 3].map(|_| errors.normal());
     Filter::new_steady(tuning, distance_m, rate_mps, normals)
 }
 

@@ -23,6 +23,8 @@ use std::sync::Arc;
 
 use serde::{Deserialize, Serialize};
 
+use crate::random::NoiseShare;
+
 pub use driver::{Driver, FileDriver};
 pub use invalid::format_compact;
 pub use invalid::{AllowedRange, FieldProblem, InvalidField};
@@ -143,6 +145,7 @@ impl Default for Sensors {
 pub struct Scenario {
     spec: Arc<ScenarioSpec>,
     steps: usize,
+    noise_shares: Option<Arc<[NoiseShare]>>,
 }
 
 impl ScenarioSpec {
@@ -186,7 +189,7 @@ impl Scenario {
     /// [`InvalidField`] names the first field that is out of range or contradicts another.
     pub fn new(spec: ScenarioSpec) -> Result<Self, InvalidField> {
         let steps = validate::check(&spec)?;
-        Ok(Self { spec: Arc::new(spec), steps })
+        Ok(Self { spec: Arc::new(spec), steps, noise_shares: None })
     }
 
     /// Returns the data of the scenario.
@@ -203,6 +206,17 @@ impl Scenario {
         let mut spec = self.spec().clone();
         change(&mut spec);
         Self::new(spec)
+    }
+
+    /// Replaces the normal noise of accelerations, measurements and initial estimates by the sum of `shares`. The first
+    /// seed must be that of the spec, which determines all other random numbers. A file cannot state shares.
+    #[must_use]
+    pub fn with_noise_shares(self, shares: &[NoiseShare]) -> Self {
+        Self { noise_shares: Some(shares.into()), ..self }
+    }
+
+    pub(crate) fn noise_shares(&self) -> &[NoiseShare] {
+        self.noise_shares.as_deref().unwrap_or_default()
     }
 
     /// Returns the vehicles, front to rear.

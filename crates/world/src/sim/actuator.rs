@@ -4,7 +4,7 @@ use std::collections::VecDeque;
 
 use super::multi_body::{MultiBody, brake_delay_s};
 use crate::control::clamp_command;
-use crate::random::{self, NormalSampler, Purpose, Stream};
+use crate::random::{NoiseStream, Purpose};
 use crate::scenario::Scenario;
 
 /// Limits, delays and lag of a vehicle, in steps of the scenario, independent of the integration step.
@@ -98,8 +98,7 @@ pub(super) fn add_noise_unless_at_rest(acceleration_mps2: f64, noise_mps2: f64, 
 
 #[derive(Debug, Clone)]
 pub(super) struct Disturbance {
-    stream: Stream,
-    normals: NormalSampler,
+    noise: NoiseStream,
     deviation_mps2: f64,
 }
 
@@ -107,26 +106,20 @@ impl Disturbance {
     /// Creates the noise of vehicle `index`; `None` for a vehicle without noise.
     pub(super) fn new(scenario: &Scenario, index: usize) -> Option<Self> {
         let deviation_mps2 = scenario.vehicles()[index].acceleration_noise_mps2;
-        (deviation_mps2 > 0.0).then(|| Self {
-            stream: random::stream(scenario.spec().seed, Purpose::AccelerationNoise, index as u64),
-            normals: NormalSampler::new(),
-            deviation_mps2,
-        })
+        let (seed, shares) = (scenario.spec().seed, scenario.noise_shares());
+        let noise = || NoiseStream::from_shares(seed, shares, Purpose::AccelerationNoise, index as u64);
+        (deviation_mps2 > 0.0).then(|| Self { noise: noise(), deviation_mps2 })
     }
 
     #[inline]
     pub(super) fn next_mps2(&mut self) -> f64 {
-        self.deviation_mps2 * self.normals.sample(&mut self.stream)
+        self.deviation_mps2 * self.noise.normal()
     }
 
     /// Returns the noise of the next `N` steps, in m/s².
     #[inline]
     pub(super) fn next_n_mps2<const N: usize>(&mut self) -> [f64; N] {
-        // A local copy stays in registers.
-        let mut stream = self.stream.clone();
-        let some_mps2 = std::array::from_fn(|_| self.deviation_mps2 * self.normals.sample(&mut stream));
-        self.stream = stream;
-        some_mps2
+        self.noise.normals().map(|normal| self.deviation_mps2 * normal)
     }
 }
 

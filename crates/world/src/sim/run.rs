@@ -328,7 +328,8 @@ impl Run {
         let estimates = vehicle.driver == Driver::UnderTest && self.options.estimator == EstimatorKind::Kalman;
         estimates.then(|| {
             let spec = self.scenario.spec();
-            EgoEstimator::new(spec.seed, index, &spec.sensors, self.tuning(), &true_state(platoon, index))
+            let (shares, truth) = (self.scenario.noise_shares(), true_state(platoon, index));
+            EgoEstimator::with_noise_shares(spec.seed, shares, index, &spec.sensors, self.tuning(), &truth)
         })
     }
 

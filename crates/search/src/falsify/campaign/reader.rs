@@ -166,8 +166,9 @@ mod tests {
         let campaign = Campaign::of_match_leader("high-risk", Method::Auto, 300, 7);
         let parent = tempfile::tempdir().unwrap();
         let folder = parent.path().join("campaign");
-        let refused = || CampaignReader::open(&folder).unwrap_err().to_string();
-        assert!(refused().ends_with("the folder holds no campaign"));
+        let refused_in = |folder: &Path| CampaignReader::open(folder).unwrap_err().to_string();
+        let refused = || refused_in(&folder);
+        assert!(refused_in(parent.path()).ends_with("the folder holds no campaign"));
         let stop = |progress: &CampaignProgress| match progress.evaluations {
             ..200 => ControlFlow::Continue(()),
             _ => ControlFlow::Break(()),

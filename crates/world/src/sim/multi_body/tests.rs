@@ -94,6 +94,16 @@ fn the_anti_lock_system_keeps_the_wheels_turning() {
     }
 }
 
+/// Below 0.1 m/s the wheels roll without slip; the tyres limit the braking there, too.
+#[test]
+fn friction_limits_the_braking_of_a_rolling_vehicle() {
+    for kind in BodyKind::ALL {
+        let stop_m = |friction| braking_distance_m(MultiBody::new(kind, friction, 0.09), -7.5, 0.09, 300, 0.01);
+        let peak_mps2 = body_params(kind).tyre.p_dx1 * 0.1 * GRAVITY_MPS2;
+        assert!(stop_m(0.1) >= 0.09 * 0.09 / (2.0 * peak_mps2) && stop_m(0.1) > stop_m(1.0), "{kind:?}");
+    }
+}
+
 fn paper_scenario(index: usize) -> Scenario {
     let multi_body = |spec: &mut crate::scenario::ScenarioSpec| {
         for vehicle in spec.vehicles.iter_mut().skip(1) {

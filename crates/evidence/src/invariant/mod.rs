@@ -1,0 +1,338 @@
+//! Invariant sets: states from which a controller never collides with a leader within limits. `crumple_verify` has the
+//! condition and checks it; [`search`] finds a boundary; [`refute`] searches for leaders that defeat the controller
+//! from states outside.
+
+mod refute;
+mod search;
+
+use std::path::Path;
+use std::sync::Arc;
+
+use crumple_verify::invariant::table::{HEIGHT_UNIT_M, HeightTable, TableAxis};
+use crumple_verify::invariant::{InvariantController, MotionModel, NetworkReference};
+use crumple_verify::reach::{NeuralController, controller_file_name};
+use crumple_verify::{Certificate, InvariantClaim, Rejection, Statement};
+use serde::{Deserialize, Serialize};
+
+use super::initial_set::control_law;
+use super::reach::{InvalidBox, checker_file};
+use crumple_core::digest::sha256;
+use crumple_core::observer::Observer;
+use crumple_search::worst_case::build_certificate;
+use crumple_world::control::{Controller, Ego, PolicyDriver};
+use crumple_world::observation::Observation;
+use crumple_world::scenario::file::{self, FileError};
+use crumple_world::scenario::{Driver, Scenario};
+use crumple_world::sim::ControllerKind;
+pub use refute::Defeat;
+use search::BoundarySearch;
+
+/// Largest height of a boundary, in multiples of the region's largest gap.
+const HIGHEST_GAPS: f64 = 3.0;
+/// Number of halvings of the range of own speeds, if the largest own speed of the region allows no set.
+const SPEED_HALVINGS: u32 = 4;
+/// Rows of the table above the largest initial own speed.
+const EXTRA_ROWS: u32 = 2;
+
+/// Limits and region of an invariant set, as `crumple verify invariant` writes them to a certificate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct InvariantSpec {
+    /// Version of the format: 1.
+    pub version: u32,
+    /// Scenario, of which the second vehicle is under test.
+    pub scenario: String,
+    /// Model of motion.
+    pub motion: MotionModel,
+    /// Hardest braking, negative, and largest acceleration of the leader, in m/s².
+    pub leader_mps2: [f64; 2],
+    /// Largest errors of the observed gap in metres, and of own and leader's speed in m/s.
+    pub observation_error: [f64; 3],
+    /// Largest gap of the region, in metres.
+    pub region_gap_m: f64,
+    /// Gap beyond which the claim ends, in metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ends_beyond_gap_m: Option<f64>,
+    /// Own speeds of the region, in m/s; closing speeds in the relative model.
+    pub region_own_mps: [f64; 2],
+    /// Leader's speeds of the region, in m/s.
+    pub region_leader_mps: [f64; 2],
+    /// Control law with its settings; absent for a policy or network.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub controller: Option<Driver>,
+}
+
+/// Fineness of the search.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct InvariantOptions {
+    /// Cells of the own and of the leader's speed.
+    pub cells: u32,
+    /// Number of times that the check may divide a cell.
+    pub splits: u32,
+    /// Lowest height at which the search begins, in metres.
+    pub smallest_gap_m: f64,
+}
+
+/// Progress of a search.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct InvariantProgress {
+    /// Largest initial own speed of this attempt, in m/s.
+    pub own_mps: f64,
+    /// Passes over the table.
+    pub pass: u32,
+    /// Cells that failed in the last pass.
+    pub failed: usize,
+}
+
+/// A controller, its limits and a region.
+pub struct InvariantPlan {
+    scenario: Scenario,
+    controller: ControllerKind,
+    texts: [String; 2],
+    bytes: Option<Vec<u8>>,
+    claim: InvariantClaim,
+}
+
+/// Result of a search: the table and its certificate, not yet checked.
+#[derive(Debug)]
+pub struct InvariantSet {
+    /// Boundary of the set.
+    pub table: HeightTable,
+    /// Certificate.
+    pub certificate: Certificate,
+    /// Passes of the last attempt.
+    pub passes: u32,
+    /// Share of the region above the gaps from which a simulated leader causes a collision. No set of this form has
+    /// more.
+    pub simulated_share: f64,
+}
+
+impl InvariantSpec {
+    /// Parses the text of a certificate; `path` only names it in errors.
+    ///
+    /// # Errors
+    /// [`FileError`] if the text has another form.
+    pub fn from_toml(text: &str, path: &Path) -> Result<Self, FileError> {
+        let spec: Self = file::parse_toml(text, path)?;
+        match spec.version {
+            1 => Ok(spec),
+            other => Err(FileError::Syntax {
+                path: path.to_owned(),
+                line: file::line_in_toml(text, "version"),
+                message: format!("version {other} is not supported: this release reads version 1"),
+            }),
+        }
+    }
+
+    /// Returns the claim without its set, for a law of the spec or the bytes of a policy file.
+    ///
+    /// # Errors
+    /// [`InvalidBox`] if the checker does not support the scenario or the controller.
+    pub(super) fn frame(&self, scenario: &Scenario, policy: Option<&[u8]>) -> Result<InvariantClaim, InvalidBox> {
+        let wrong = |why: &str| InvalidBox::field("scenario", why);
+        let ego = scenario.vehicles().get(1).ok_or_else(|| wrong("has too few vehicles"))?;
+        let is_plain = ego.acceleration_noise_mps2 == 0.0
+            && ego.reaction_delay_s == 0.0
+            && ego.actuator_delay_s == 0.0
+            && ego.jerk_limit_mps3.is_none()
+            && ego.multi_body().is_none()
+            && ego.keeps_lane();
+        if ego.driver != Driver::UnderTest || !is_plain {
+            return Err(wrong(
+                "the second vehicle must be under test, stay in the lane, and have no noise, delay or limited jerk, \
+                 and the plant `point-mass`",
+            ));
+        }
+        let own_mps2 = [-scenario.usable_brake_mps2(1), ego.max_accel_mps2()];
+        let step_s = scenario.spec().step_s;
+        let (controller, decision_steps) = match (&self.controller, policy) {
+            (Some(Driver::Controller(spec)), None) => {
+                let law = control_law(spec, ego.max_accel_mps2()).ok_or_else(|| {
+                    InvalidBox::Controller(format!(
+                        "must be idm, acc-aeb, a policy or a network, found {}",
+                        spec.name()
+                    ))
+                })?;
+                (InvariantController::Law(law), 1)
+            }
+            (None, Some(bytes)) => {
+                let network = NeuralController::from_bytes(bytes).map_err(InvalidBox::Controller)?;
+                let digest = sha256(bytes);
+                let reference = NetworkReference {
+                    policy_file: controller_file_name(&digest, network.source.is_some()),
+                    policy_sha256: digest,
+                    source: network.source.clone(),
+                };
+                let steps = (network.decision_interval_s / step_s).round();
+                (InvariantController::Network(reference), steps as u32)
+            }
+            _ => return Err(InvalidBox::Controller("must be either a law or a policy".to_owned())),
+        };
+        let lag_s = ego.actuator_lag_s;
+        Ok(InvariantClaim {
+            motion: self.motion,
+            controller,
+            step_s,
+            decision_steps,
+            response_per_step: if lag_s > 0.0 { -(-step_s / lag_s).exp_m1() } else { 1.0 },
+            own_mps2,
+            leader_mps2: self.leader_mps2,
+            observation_error: self.observation_error,
+            region_gap_m: self.region_gap_m,
+            ends_beyond_gap_m: self.ends_beyond_gap_m,
+            region_own_mps: self.region_own_mps,
+            region_leader_mps: self.region_leader_mps,
+            initial_own_mps_at_most: 0.0,
+            axes: [TableAxis::point(0.0); 3],
+            splits: 0,
+            heights: Vec::new(),
+            share_at_least: 0.0,
+            min_gap_m_at_least: 0.0,
+        })
+    }
+}
+
+impl InvariantPlan {
+    /// Creates a plan.
+    ///
+    /// # Errors
+    /// [`InvalidBox`] if the checker does not support the controller or the scenario, or a limit is invalid.
+    pub fn new(
+        controller: impl Into<ControllerKind>,
+        scenario: &Scenario,
+        mut spec: InvariantSpec,
+    ) -> Result<Self, InvalidBox> {
+        let controller = controller.into();
+        let bytes = checker_file(&controller)?;
+        spec.controller = match &controller {
+            ControllerKind::BuiltIn(law) if bytes.is_none() => Some(Driver::Controller(law.clone())),
+            _ => None,
+        };
+        if spec.controller.is_none() && bytes.is_none() {
+            return Err(InvalidBox::Controller("must be idm, acc-aeb, a policy or a network".to_owned()));
+        }
+        let claim = spec.frame(scenario, bytes.as_deref())?;
+        if claim.response_per_step < 1.0 {
+            return Err(InvalidBox::field("scenario", "must have no actuator lag, for which this search has no grid"));
+        }
+        claim.check_model(bytes.as_deref()).map_err(map_rejection)?;
+        let texts = [file::to_toml(scenario)?, toml::to_string(&spec)?];
+        Ok(Self { scenario: scenario.clone(), controller, texts, bytes, claim })
+    }
+
+    /// Returns the policy file, for the checker.
+    #[must_use]
+    pub fn policy_bytes(&self) -> Option<&[u8]> {
+        self.bytes.as_deref()
+    }
+
+    /// Searches for a set up to the largest own speed for which there is one. Returns `None` if there is none.
+    ///
+    /// # Errors
+    /// [`InvalidBox`] if the observer stops, or the region is invalid.
+    pub fn search(
+        &self,
+        options: InvariantOptions,
+        observer: &dyn Observer<InvariantProgress>,
+    ) -> Result<Option<InvariantSet>, InvalidBox> {
+        let [low, high] = self.claim.region_own_mps;
+        let (mut possible, mut impossible, mut best) = (low.max(0.0), high, None);
+        for attempt in 0..=SPEED_HALVINGS {
+            // The first attempt has the whole region.
+            let own_mps = if attempt == 0 { high } else { 0.5 * (possible + impossible) };
+            match self.attempt(options, own_mps, observer)? {
+                Some(found) if attempt == 0 => return Ok(Some(found)),
+                Some(found) => (possible, best) = (own_mps, Some(found)),
+                None => impossible = own_mps,
+            }
+        }
+        Ok(best)
+    }
+
+    fn attempt(
+        &self,
+        options: InvariantOptions,
+        own_mps: f64,
+        observer: &dyn Observer<InvariantProgress>,
+    ) -> Result<Option<InvariantSet>, InvalidBox> {
+        let mut claim = InvariantClaim { splits: options.splits, ..self.claim.clone() };
+        let [low, high] = claim.region_own_mps;
+        let cells = (f64::from(options.cells) * (own_mps - low) / (high - low)).ceil().max(4.0) as u32;
+        let rows = cells + EXTRA_ROWS;
+        let mut own =
+            TableAxis { low, high: low + (own_mps - low) * (f64::from(rows) / f64::from(cells)), cells: rows };
+        while own.node(cells as usize) > own_mps {
+            own.high = own.high.next_down();
+        }
+        claim.initial_own_mps_at_most = own.node(cells as usize);
+        let leader = match claim.motion {
+            MotionModel::Absolute => TableAxis { low: 0.0, high: claim.region_leader_mps[1], cells: options.cells },
+            MotionModel::Relative => TableAxis::point(0.0),
+        };
+        claim.axes = [own, leader, TableAxis::point(0.0)];
+        let lowest_m = claim.floor_m().max(options.smallest_gap_m);
+        let start_m = ((lowest_m / HEIGHT_UNIT_M).floor() + 1.0) * HEIGHT_UNIT_M;
+        let mut table = HeightTable::new(claim.axes, start_m).map_err(map_rejection)?;
+        let highest_m = claim.ends_beyond_gap_m.unwrap_or(HIGHEST_GAPS * claim.region_gap_m);
+        let mut stopped = Ok(());
+        let mut observe = |pass: u32, failed: usize| {
+            stopped = observer.notify(&InvariantProgress { own_mps, pass, failed });
+            stopped.is_ok()
+        };
+        let Some(controller) = self.start(&claim) else { return Ok(None) };
+        let mut search = BoundarySearch { claim: &claim, controller, policy: self.bytes.as_deref(), highest_m };
+        search.raise_to_simulation(&mut table);
+        let simulated_share = claim.share(&table).map_err(map_rejection)?;
+        let passes = search.raise_boundary(&mut table, &mut observe);
+        stopped?;
+        let Some(passes) = passes else { return Ok(None) };
+        claim.heights = table.to_runs();
+        claim.share_at_least = claim.share(&table).map_err(map_rejection)?;
+        // Rounded down to micrometres, so that other rounding in another version keeps the proof.
+        claim.min_gap_m_at_least = ((table.extremes()[0] - claim.floor_m()) * 1e6).floor().max(0.0) / 1e6;
+        let ([scenario, spec], name) = (self.texts.clone(), self.scenario.spec().name.clone());
+        let statement = Statement::Invariant(Box::new(claim));
+        let certificate = build_certificate(name, Some(scenario), Some(spec), statement);
+        Ok(Some(InvariantSet { table, certificate, passes, simulated_share }))
+    }
+}
+
+impl InvariantPlan {
+    /// Starts the controller so that it decides at each call, with the largest set speed of the claim.
+    fn start(&self, claim: &InvariantClaim) -> Option<Box<dyn Controller>> {
+        let ego = Ego {
+            vehicle: 1,
+            max_brake_mps2: -claim.own_mps2[0],
+            max_accel_mps2: claim.own_mps2[1],
+            length_m: self.scenario.vehicles()[1].length_m(),
+            step_s: claim.step_s * f64::from(claim.decision_steps),
+        };
+        let mut controller = match &self.controller {
+            ControllerKind::Network(network) => network.start(&ego),
+            ControllerKind::Policy(policy) => Box::new(PolicyDriver::new(Arc::clone(policy), &ego)),
+            ControllerKind::BuiltIn(spec) => spec.start(&ego, 0),
+            _ => return None,
+        };
+        let speed_mps = claim.initial_own_mps_at_most + claim.observation_error[1];
+        let free = Observation { speed_mps, acceleration_mps2: 0.0, ahead: None, behind: None };
+        controller.decide(&free).ok()?;
+        Some(controller)
+    }
+}
+
+fn map_rejection(rejection: Rejection) -> InvalidBox {
+    match rejection {
+        Rejection::Invalid { field, problem } => InvalidBox::field(&field, problem),
+        Rejection::Policy { problem } => InvalidBox::Controller(problem),
+        other => InvalidBox::field("scenario", format!("its {other}")),
+    }
+}
+
+/// True if a claim has the limits, region and controller of its texts.
+pub(super) fn has_frame(claim: &InvariantClaim, frame: InvariantClaim) -> bool {
+    let InvariantClaim { initial_own_mps_at_most, axes, splits, share_at_least, min_gap_m_at_least, .. } = *claim;
+    let heights = claim.heights.clone();
+    let set =
+        InvariantClaim { initial_own_mps_at_most, axes, splits, heights, share_at_least, min_gap_m_at_least, ..frame };
+    set == *claim
+}

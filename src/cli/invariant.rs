@@ -1,0 +1,241 @@
+//! `crumple verify invariant`: computes a set of states from which a controller never collides with its leader.
+
+use std::path::PathBuf;
+
+use clap::{Args, ValueEnum};
+use crumple_core::observer::Listener;
+use crumple_verify::invariant::MotionModel;
+use crumple_verify::{ProvedClaim, WorkLimit, check_with};
+use serde::Serialize;
+
+use super::import::render_figure;
+use super::output;
+use super::reach::write_certificate;
+use super::simulate::{OutputFormat, parse_path_ending_in};
+use super::{CliError, args, progress};
+use crumple_evidence::{
+    Defeat, InvalidBox, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet, InvariantSpec,
+};
+use crumple_report::figures::draw_invariant_set;
+use crumple_store::disk::StagedFiles;
+use crumple_world::sim::NamedController;
+
+/// Own speeds of a picture.
+const PICTURE_LINES: u32 = 5;
+
+/// Prove from which states a controller never collides with the leader, for any duration
+#[derive(Args)]
+#[command(after_long_help = "\
+The set is {gap >= h(own speed, leader's speed)}. crumple searches for the lowest h for which the controller, at each \
+decision and for every leader within the limits, leads from the set into the set. The checker verifies each cell of \
+h with outward rounding. The claim covers the controller alone, its decision interval, and observations within the \
+stated errors. It has no time limit, and ends if a speed leaves the stated range.
+
+Controllers: idm, acc-aeb, policies and networks (F.onnx, F.zip, F.toml) without a history. With --plant relative, \
+the state is the gap and the closing speed alone, and the network must have no other inputs.
+
+Exit code 1 if no set is found.
+
+Examples:
+  crumple verify invariant --controller idm --certificate idm.json
+  crumple verify invariant --controller acc.toml --plant relative --speed -20..20 --leader-accel 0..0")]
+pub(super) struct InvariantCommand {
+    /// Controller: idm, acc-aeb, with settings or without, a policy, or a network
+    #[arg(long, value_name = "C", value_parser = args::parse_controller)]
+    controller: NamedController,
+    /// Scenario with the limits of the vehicle under test, the time step and the plant
+    #[arg(long, value_name = "S", default_value = "paper-1")]
+    scenario: String,
+    /// Model of motion
+    #[arg(long, value_enum, default_value = "absolute")]
+    plant: InvariantPlant,
+    /// Largest gap of the region, in metres
+    #[arg(long, value_name = "M", default_value_t = 100.0)]
+    gap: f64,
+    /// Gap beyond which the claim ends, in metres, for controllers that drive only up to a gap; default: never
+    #[arg(long, value_name = "M")]
+    end_beyond_gap: Option<f64>,
+    /// Own speeds of the region in m/s; with --plant relative, closing speeds
+    #[arg(long, value_name = "A..B", default_value = "0..35", allow_hyphen_values = true, value_parser = parse_range)]
+    speed: [f64; 2],
+    /// Leader's speeds of the region, in m/s; the leader is never faster
+    #[arg(long, value_name = "A..B", default_value = "0..35", value_parser = parse_range)]
+    leader_speed: [f64; 2],
+    /// Accelerations of the leader, in m/s²
+    #[arg(long, value_name = "A..B", default_value = "-7.5..3", allow_hyphen_values = true, value_parser = parse_range)]
+    leader_accel: [f64; 2],
+    /// Largest error of the observed gap, in metres
+    #[arg(long, value_name = "M", default_value_t = 1e-9)]
+    gap_error: f64,
+    /// Largest error of the observed speeds, in m/s
+    #[arg(long, value_name = "MPS", default_value_t = 1e-9)]
+    speed_error: f64,
+    /// Cells of each speed: 4 to 1000
+    #[arg(long, value_name = "N", default_value_t = 140, value_parser = clap::value_parser!(u32).range(4..=1000))]
+    cells: u32,
+    /// Number of times that the check may divide a cell: 0 to 4
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(0..=4))]
+    splits: u32,
+    /// Smallest gap of the set, in metres
+    #[arg(long, value_name = "M", default_value_t = 0.0)]
+    smallest_gap: f64,
+    /// File for the certificate; a policy or network goes next to it; replaces an existing file
+    #[arg(long, value_name = "FILE")]
+    certificate: Option<PathBuf>,
+    /// Picture of the smallest gaps against the closing speed, one line for each of five own speeds
+    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| parse_path_ending_in(path, ["svg", "png"]))]
+    plot: Option<PathBuf>,
+    /// Output format
+    #[arg(long, value_enum, default_value = "text")]
+    format: OutputFormat,
+}
+
+#[derive(Debug, Clone, Copy, ValueEnum)]
+enum InvariantPlant {
+    /// Own and leader's speed; no vehicle reverses
+    Absolute,
+    /// Gap and closing speed alone, without standstill
+    Relative,
+}
+
+/// Parses `A..B` with A at most B.
+fn parse_range(text: &str) -> Result<[f64; 2], String> {
+    let (low, high) = text.split_once("..").ok_or("must be two numbers, A..B")?;
+    let number = |text: &str| text.trim().parse::<f64>().ok().filter(|number| number.is_finite());
+    match (number(low), number(high)) {
+        (Some(low), Some(high)) if low <= high => Ok([low, high]),
+        _ => Err("must be two finite numbers A..B, with A at most B".to_owned()),
+    }
+}
+
+impl InvariantCommand {
+    pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+        let scenario = args::load_scenario(&self.scenario)?;
+        let spec = InvariantSpec {
+            version: 1,
+            scenario: scenario.spec().name.clone(),
+            motion: match self.plant {
+                InvariantPlant::Absolute => MotionModel::Absolute,
+                InvariantPlant::Relative => MotionModel::Relative,
+            },
+            leader_mps2: self.leader_accel,
+            observation_error: [self.gap_error, self.speed_error, self.speed_error],
+            region_gap_m: self.gap,
+            ends_beyond_gap_m: self.end_beyond_gap,
+            region_own_mps: self.speed,
+            region_leader_mps: match self.plant {
+                InvariantPlant::Absolute => self.leader_speed,
+                InvariantPlant::Relative => [0.0; 2],
+            },
+            controller: None,
+        };
+        let failed = |error: InvalidBox| match error {
+            InvalidBox::Controller(problem) => CliError::Input(format!("--controller: {problem}")),
+            InvalidBox::Mapping(invalid) => {
+                let place = self.controller.field_location(&invalid.field);
+                CliError::Input(format!("--controller: {place}cannot be followed: {invalid}"))
+            }
+            other => CliError::input(other),
+        };
+        let plan = InvariantPlan::new(self.controller.kind.clone(), &scenario, spec).map_err(failed)?;
+        let options = InvariantOptions { cells: self.cells, splits: self.splits, smallest_gap_m: self.smallest_gap };
+        let bar = progress::depth_line("raising", 1, quiet);
+        let observer = Listener(|now: &InvariantProgress| {
+            let InvariantProgress { own_mps, pass, failed } = now;
+            bar.set_message(format!("up to {own_mps:.2} m/s: pass {pass}, {failed} cells changed"));
+        });
+        let found = plan.search(options, &observer).map_err(failed)?;
+        bar.finish_and_clear();
+        let Some(set) = found else {
+            return Err(CliError::Gate(format!(
+                "{}: no set found; try larger --cells, --splits or --smallest-gap",
+                self.controller.name
+            )));
+        };
+        let accepted = check_with(&set.certificate, plan.policy_bytes(), WorkLimit::UNLIMITED)
+            .map_err(|rejection| CliError::Gate(format!("the checker rejected the proof: {rejection}")))?;
+        if let Some(path) = &self.certificate {
+            write_certificate(path, &set.certificate, plan.policy_bytes().unwrap_or_default())?;
+        }
+        if let Some(path) = &self.plot {
+            let mut files = StagedFiles::default();
+            let figure = draw_invariant_set(&self.picture_lines(&set), self.gap);
+            files.stage(&output::resolve_output_path(path)?, &render_figure(&figure, path)?)?;
+            files.commit()?;
+        }
+        let defeat = plan.defeat(&set.table).map_err(failed)?;
+        let ProvedClaim::Invariant { share, min_gap_m, own_speed_is_kept } = accepted else {
+            return Err(CliError::Gate("the checker proved another claim".to_owned()));
+        };
+        let report = InvariantReport {
+            controller: &self.controller.name,
+            scenario: &set.certificate.provenance.scenario,
+            certificate_sha256: set.certificate.digest(),
+            accepted: true,
+            share,
+            simulated_share: set.simulated_share,
+            smallest_gap_m: min_gap_m,
+            own_speed_is_kept,
+            defeat: defeat.clone(),
+        };
+        let words = || {
+            format!(
+                "{}\naccepted: {accepted}\nat most {:.2} % are possible: from the rest, a leader that brakes, at once \
+                 or after 1 s, defeats the controller in a simulation\n{}",
+                set.certificate.scope(),
+                1e2 * set.simulated_share,
+                defeat_line(defeat.as_ref())
+            )
+        };
+        output::print_result(self.format, &report, words)
+    }
+}
+
+impl InvariantCommand {
+    /// Returns the boundary against the closing speed, for some own speeds.
+    fn picture_lines(&self, set: &InvariantSet) -> Vec<(String, Vec<(f64, f64)>)> {
+        let [own, leader, _] = *set.table.axes();
+        let heights = |own_mps: f64, leader_mps: f64| set.table.height_at([own_mps, leader_mps, 0.0]);
+        if leader.cells == 0 {
+            let points = (0..own.node_count()).map(|index| own.node(index));
+            let points = points.filter_map(|speed| Some((speed, heights(speed, leader.low)?)));
+            return vec![("any speed".to_owned(), points.collect())];
+        }
+        let [low, high] = [self.speed[0], self.speed[1].min(own.high)];
+        let speeds = (1..=PICTURE_LINES).map(|place| low + (high - low) * f64::from(place) / f64::from(PICTURE_LINES));
+        speeds
+            .map(|own_mps| {
+                let speeds = (0..leader.node_count()).rev().map(|index| leader.node(index));
+                let points = speeds.filter_map(|speed| Some((own_mps - speed, heights(own_mps, speed)?)));
+                (format!("{own_mps:.1} m/s"), points.collect())
+            })
+            .collect()
+    }
+}
+
+fn defeat_line(defeat: Option<&Defeat>) -> String {
+    match defeat {
+        None => "outside the set: no simulated leader defeats the controller\n".to_owned(),
+        Some(Defeat { gap_m, own_mps, leader_mps, leader_accelerates_s }) => format!(
+            "outside the set: from {own_mps:.2} m/s, {gap_m:.2} m behind a leader at {leader_mps:.2} m/s, a leader \
+             that accelerates for {leader_accelerates_s} s and then brakes causes a collision in the simulation\n"
+        ),
+    }
+}
+
+#[derive(Serialize)]
+struct InvariantReport<'a> {
+    controller: &'a str,
+    scenario: &'a str,
+    certificate_sha256: String,
+    /// Always true: crumple prints no certificate that the checker rejects.
+    accepted: bool,
+    /// Proved share of the region.
+    share: f64,
+    /// Share of the region from which no simulated leader causes a collision.
+    simulated_share: f64,
+    smallest_gap_m: f64,
+    own_speed_is_kept: bool,
+    /// State outside the set with a leader that defeats the controller.
+    defeat: Option<Defeat>,
+}

@@ -1,0 +1,77 @@
+//! Bounds of a memoryless controller's command over a box of observations.
+
+use super::MotionModel;
+use super::table::AXIS_COUNT;
+use crate::Rejection;
+use crate::interval::Interval;
+use crate::reach::controller::OBSERVATION_SIZE;
+use crate::reach::form::AffineForm;
+use crate::reach::{FollowerLaw, NeuralController};
+use crate::work::{OPS_PER_INTERVAL_OP, OpBudget};
+
+/// Gaps ahead and behind; speeds ahead, own, behind; accelerations ahead, own, behind.
+const GAP: usize = 0;
+const LEADER: usize = 2;
+const OWN: usize = 3;
+const LEADER_ACCELERATION: usize = 5;
+const OWN_ACCELERATION: usize = 6;
+const INTERVAL_OPS_PER_LAW: u64 = 200;
+
+/// The controller of the vehicle under test.
+#[derive(Debug)]
+pub(super) enum CommandModel<'a> {
+    /// A control law, and the set speeds that `acc-aeb` may have.
+    Law(&'a FollowerLaw, Interval),
+    /// A network; its limits, and those of the leader, are those of the observed accelerations.
+    Network(Box<NeuralController>, [Interval; 2]),
+}
+
+impl CommandModel<'_> {
+    /// Checks that a controller has no input that the model of motion does not have.
+    pub(super) fn check_inputs(&self, motion: MotionModel) -> Result<(), Rejection> {
+        let (Self::Network(network, _), MotionModel::Relative) = (self, motion) else {
+            return match (self, motion) {
+                (Self::Law(..), MotionModel::Relative) => {
+                    Err(Rejection::invalid("motion", "is relative, and the controller depends on its own speed"))
+                }
+                _ => Ok(()),
+            };
+        };
+        let is_relative = |input: &crate::reach::ControllerInput| {
+            let of = &input.coefficients;
+            of[OWN] + of[LEADER] == 0.0 && of[LEADER_ACCELERATION] == 0.0 && of[OWN_ACCELERATION] == 0.0
+        };
+        if network.inputs.iter().all(is_relative) {
+            Ok(())
+        } else {
+            Err(Rejection::invalid(
+                "motion",
+                "is relative, and the network has other inputs than gap and relative speed",
+            ))
+        }
+    }
+
+    /// Returns the commands for observed gaps, own and leader's speeds; the whole line if the budget is exceeded.
+    pub(super) fn range(&self, observed: &[AffineForm; 3], limits: Interval, work: &OpBudget) -> Interval {
+        let command = match self {
+            Self::Law(law, set_speed) => {
+                if !work.charge(INTERVAL_OPS_PER_LAW * OPS_PER_INTERVAL_OP) {
+                    return Interval::ENTIRE;
+                }
+                law.command_range(observed, *set_speed, limits)
+            }
+            Self::Network(network, [own_mps2, leader_mps2]) => {
+                let mut forms: [AffineForm; OBSERVATION_SIZE] = Default::default();
+                for (place, form) in [GAP, OWN, LEADER].into_iter().zip(observed) {
+                    forms[place] = form.clone();
+                }
+                let accelerations = [(LEADER_ACCELERATION, leader_mps2), (OWN_ACCELERATION, own_mps2)];
+                for (symbol, (place, range)) in (AXIS_COUNT + 1..).zip(accelerations) {
+                    forms[place] = AffineForm::symbol(symbol, *range);
+                }
+                network.decide_with_budget(&forms, &[0.0; OBSERVATION_SIZE], false, work).range()
+            }
+        };
+        command.max(Interval::point(limits.low())).min(Interval::point(limits.high()))
+    }
+}

@@ -1,0 +1,307 @@
+//! The boundary of an invariant set: a height over a grid of speeds, linear on each simplex.
+//!
+//! The nodes of a [`TableAxis`] divide its range into cells. Each cell of the grid is divided into simplices, one for
+//! each order of the axes (Kuhn): from its lowest corner a simplex steps along the first axis of the order, then along
+//! the second, and so on. The slope of a simplex along an axis is therefore that of one edge of the cell. Heights are
+//! whole multiples of 2⁻¹⁰ m, so that they and their differences are exact in double precision.
+
+use serde::{Deserialize, Serialize};
+
+use crate::Rejection;
+use crate::claim::ConstantPiece;
+use crate::interval::Interval;
+
+/// Number of axes: own speed, leader's speed, own acceleration.
+pub const AXIS_COUNT: usize = 3;
+/// Unit of heights, in metres.
+pub const HEIGHT_UNIT_M: f64 = 1.0 / 1024.0;
+/// Maximum number of nodes of a table, and of cells of an axis.
+pub const MAX_NODES: usize = 2_000_000;
+const MAX_AXIS_CELLS: u32 = 4096;
+/// Largest height, in units: 16 km.
+const MAX_HEIGHT: i64 = 1 << 24;
+
+/// A range that nodes divide into cells; without cells it is a single number.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct TableAxis {
+    /// First node.
+    pub low: f64,
+    /// Last node.
+    pub high: f64,
+    /// Number of cells.
+    pub cells: u32,
+}
+
+impl TableAxis {
+    /// Creates an axis of a single number.
+    #[must_use]
+    pub fn point(value: f64) -> Self {
+        Self { low: value, high: value, cells: 0 }
+    }
+
+    /// Returns the number of nodes.
+    #[must_use]
+    pub fn node_count(self) -> usize {
+        self.cells as usize + 1
+    }
+
+    /// Returns a node: the result of this formula in double precision.
+    #[must_use]
+    pub fn node(self, index: usize) -> f64 {
+        if index >= self.cells as usize {
+            self.high
+        } else {
+            self.low + (self.high - self.low) * (index as f64 / f64::from(self.cells))
+        }
+    }
+
+    /// Returns the range of a cell, or the single number.
+    #[must_use]
+    pub fn cell(self, index: usize) -> Interval {
+        Interval::new(self.node(index), self.node(index + 1)).unwrap_or(Interval::ENTIRE)
+    }
+
+    /// Returns the range of the axis.
+    #[must_use]
+    pub fn range(self) -> Interval {
+        Interval::new(self.low, self.high).unwrap_or(Interval::ENTIRE)
+    }
+
+    /// Returns the first and the last cell of a part of the range.
+    pub(super) fn cells_of(self, part: Interval) -> [usize; 2] {
+        let Some(last) = (self.cells as usize).checked_sub(1) else { return [0, 0] };
+        let guess = |value: f64| {
+            let share = (value - self.low) / (self.high - self.low);
+            ((share * f64::from(self.cells)).max(0.0) as usize).min(last)
+        };
+        let (mut first, mut end) = (guess(part.low()), guess(part.high()));
+        while first > 0 && self.node(first) > part.low() {
+            first -= 1;
+        }
+        while first < last && self.node(first + 1) <= part.low() {
+            first += 1;
+        }
+        while end < last && self.node(end + 1) < part.high() {
+            end += 1;
+        }
+        while end > first && self.node(end) >= part.high() {
+            end -= 1;
+        }
+        [first, end.max(first)]
+    }
+
+    fn is_valid(self) -> bool {
+        let is_one = self.cells == 0 && self.low == self.high;
+        let increases = || (1..self.node_count()).all(|index| self.node(index - 1) < self.node(index));
+        self.low.is_finite() && self.high.is_finite() && self.cells <= MAX_AXIS_CELLS && (is_one || increases())
+    }
+}
+
+/// The heights of all nodes; the last axis varies fastest.
+#[derive(Debug, Clone, PartialEq)]
+pub struct HeightTable {
+    axes: [TableAxis; AXIS_COUNT],
+    /// In metres.
+    heights: Vec<f64>,
+    /// 1 / width of each cell of each axis.
+    inverse_widths: [Vec<Interval>; AXIS_COUNT],
+    /// Orders of the axes that have cells, one for each simplex of a cell.
+    orders: Vec<Vec<usize>>,
+}
+
+impl HeightTable {
+    /// Creates a table with one height.
+    ///
+    /// # Errors
+    /// [`Rejection`] if an axis is invalid or there are too many nodes.
+    pub fn new(axes: [TableAxis; AXIS_COUNT], height_m: f64) -> Result<Self, Rejection> {
+        if !axes.iter().all(|axis| axis.is_valid()) {
+            return Err(Rejection::invalid("table", "has an axis whose nodes do not increase, or with too many cells"));
+        }
+        let nodes = axes.iter().map(|axis| axis.node_count()).product::<usize>();
+        if nodes > MAX_NODES {
+            return Err(Rejection::invalid("table", "has too many nodes"));
+        }
+        let inverse = |axis: TableAxis| {
+            let width = |index| Interval::point(axis.node(index + 1)) - Interval::point(axis.node(index));
+            (0..axis.cells as usize).map(|index| Interval::ONE.over(width(index))).collect()
+        };
+        let active: Vec<usize> = (0..AXIS_COUNT).filter(|&axis| axes[axis].cells > 0).collect();
+        Ok(Self { axes, heights: vec![height_m; nodes], inverse_widths: axes.map(inverse), orders: orders(&active) })
+    }
+
+    /// Creates a table from the runs of [`to_runs`](Self::to_runs).
+    ///
+    /// # Errors
+    /// [`Rejection`] if the runs are not those of a table with these axes.
+    pub fn from_runs(axes: [TableAxis; AXIS_COUNT], runs: &[ConstantPiece<i64>]) -> Result<Self, Rejection> {
+        let wrong = |problem| Err(Rejection::invalid("table.heights", problem));
+        let mut table = Self::new(axes, 0.0)?;
+        let (mut height, mut filled) = (0_i64, 0_usize);
+        for (index, &ConstantPiece(count, change)) in runs.iter().enumerate() {
+            if count == 0 || index > 0 && runs[index - 1].1 == change {
+                return wrong("has an empty run, or two runs that are one");
+            }
+            let Some(part) = table.heights.get_mut(filled..filled.saturating_add(count as usize)) else {
+                return wrong("has more heights than the table has nodes");
+            };
+            for to in part {
+                height = height.saturating_add(change);
+                if !(1..=MAX_HEIGHT).contains(&height) {
+                    return wrong("has a height that is not positive, or too large");
+                }
+                *to = height as f64 * HEIGHT_UNIT_M;
+            }
+            filled += count as usize;
+        }
+        if filled == table.heights.len() { Ok(table) } else { wrong("has fewer heights than the table has nodes") }
+    }
+
+    /// Returns the heights as runs: a number of nodes, and the difference of each to the node before, in units.
+    #[must_use]
+    pub fn to_runs(&self) -> Vec<ConstantPiece<i64>> {
+        let (mut runs, mut before) = (Vec::<ConstantPiece<i64>>::new(), 0_i64);
+        for height_m in &self.heights {
+            let height = (height_m / HEIGHT_UNIT_M).round() as i64;
+            match runs.last_mut() {
+                Some(run) if run.1 == height - before => run.0 += 1,
+                _ => runs.push(ConstantPiece(1, height - before)),
+            }
+            before = height;
+        }
+        runs
+    }
+
+    /// Returns the axes.
+    #[must_use]
+    pub fn axes(&self) -> &[TableAxis; AXIS_COUNT] {
+        &self.axes
+    }
+
+    /// Returns the orders of the axes, one for each simplex of a cell.
+    #[must_use]
+    pub fn orders(&self) -> &[Vec<usize>] {
+        &self.orders
+    }
+
+    /// Returns all cells, in the order of their nodes.
+    pub fn cells(&self) -> impl Iterator<Item = [usize; AXIS_COUNT]> + use<> {
+        indices(self.axes.map(|axis| (axis.cells as usize).max(1)))
+    }
+
+    /// Returns all nodes, in order.
+    pub fn nodes(&self) -> impl Iterator<Item = [usize; AXIS_COUNT]> + use<> {
+        indices(self.axes.map(TableAxis::node_count))
+    }
+
+    fn index(&self, [i, j, k]: [usize; AXIS_COUNT]) -> usize {
+        (i * self.axes[1].node_count() + j) * self.axes[2].node_count() + k
+    }
+
+    /// Returns the height of a node, in metres.
+    #[must_use]
+    pub fn node_height(&self, node: [usize; AXIS_COUNT]) -> f64 {
+        self.heights.get(self.index(node)).copied().unwrap_or(f64::INFINITY)
+    }
+
+    /// Raises a node to a height, rounded up to the unit.
+    pub fn raise(&mut self, node: [usize; AXIS_COUNT], height_m: f64) {
+        let index = self.index(node);
+        if let Some(height) = self.heights.get_mut(index) {
+            *height = height.max((height_m / HEIGHT_UNIT_M).ceil() * HEIGHT_UNIT_M);
+        }
+    }
+
+    /// Returns the smallest and the largest height, in metres.
+    #[must_use]
+    pub fn extremes(&self) -> [f64; 2] {
+        let all = || self.heights.iter().copied();
+        [all().fold(f64::INFINITY, f64::min), all().fold(0.0, f64::max)]
+    }
+
+    /// Returns the nodes of a simplex, in order.
+    #[must_use]
+    pub fn simplex(&self, cell: [usize; AXIS_COUNT], order: &[usize]) -> Vec<[usize; AXIS_COUNT]> {
+        let mut nodes = vec![cell];
+        for &axis in order {
+            let mut next = nodes[nodes.len() - 1];
+            next[axis] += 1;
+            nodes.push(next);
+        }
+        nodes
+    }
+
+    /// Returns the slopes of a simplex, in metres per unit of each axis.
+    pub(super) fn slopes(&self, cell: [usize; AXIS_COUNT], order: &[usize]) -> [Interval; AXIS_COUNT] {
+        let mut slopes = [Interval::ZERO; AXIS_COUNT];
+        let (mut node, mut height_m) = (cell, self.node_height(cell));
+        for &axis in order {
+            node[axis] += 1;
+            let next_m = self.node_height(node);
+            if next_m != height_m {
+                slopes[axis] = Interval::point(next_m - height_m) * self.inverse_widths[axis][cell[axis]];
+            }
+            height_m = next_m;
+        }
+        slopes
+    }
+
+    /// Returns the heights over a part of a cell.
+    #[must_use]
+    pub fn heights_over(&self, cell: [usize; AXIS_COUNT], part: &[Interval; AXIS_COUNT]) -> Interval {
+        let base = Interval::point(self.node_height(cell));
+        let over = |order: &Vec<usize>| {
+            let slopes = self.slopes(cell, order);
+            let step = |sum, &axis: &usize| {
+                sum + slopes[axis] * (part[axis] - Interval::point(self.axes[axis].node(cell[axis])))
+            };
+            order.iter().fold(base, step)
+        };
+        let linear = self.orders.iter().map(over).reduce(Interval::hull).unwrap_or(base);
+        let nodes = self.orders.iter().flat_map(|order| self.simplex(cell, order));
+        let corners = nodes.map(|node| Interval::point(self.node_height(node))).reduce(Interval::hull).unwrap_or(base);
+        linear.max(Interval::point(corners.low())).min(Interval::point(corners.high()))
+    }
+
+    /// Returns an upper bound of the height at a state, in metres; `None` outside the table.
+    #[must_use]
+    pub fn height_at(&self, state: [f64; AXIS_COUNT]) -> Option<f64> {
+        let is_inside = self.axes.iter().zip(state).all(|(axis, value)| axis.range().contains(value));
+        let part = state.map(Interval::point);
+        let cell = std::array::from_fn(|axis| self.axes[axis].cells_of(part[axis])[0]);
+        is_inside.then(|| self.heights_over(cell, &part).high())
+    }
+
+    /// Returns the mean height over a cell of the first two axes at a node of the last.
+    pub(super) fn mean_height(&self, [i, j, k]: [usize; AXIS_COUNT]) -> Interval {
+        let has_cells = [self.axes[0].cells > 0, self.axes[1].cells > 0];
+        // Mean over the simplices of the means of their nodes.
+        let weighted: &[([usize; 2], f64, f64)] = match has_cells {
+            [true, true] => &[([0, 0], 1.0, 3.0), ([1, 1], 1.0, 3.0), ([0, 1], 1.0, 6.0), ([1, 0], 1.0, 6.0)],
+            [true, false] => &[([0, 0], 1.0, 2.0), ([1, 0], 1.0, 2.0)],
+            [false, true] => &[([0, 0], 1.0, 2.0), ([0, 1], 1.0, 2.0)],
+            [false, false] => &[([0, 0], 1.0, 1.0)],
+        };
+        weighted.iter().fold(Interval::ZERO, |sum, &([own, leader], share, of)| {
+            let height = Interval::point(self.node_height([i + own, j + leader, k]));
+            sum + (height * Interval::point(share)).over(Interval::point(of))
+        })
+    }
+}
+
+fn indices([own, leader, acceleration]: [usize; AXIS_COUNT]) -> impl Iterator<Item = [usize; AXIS_COUNT]> {
+    (0..own).flat_map(move |i| (0..leader).flat_map(move |j| (0..acceleration).map(move |k| [i, j, k])))
+}
+
+/// Returns all orders of some axes.
+fn orders(of: &[usize]) -> Vec<Vec<usize>> {
+    if of.is_empty() {
+        return vec![Vec::new()];
+    }
+    let with_first = |&first: &usize| {
+        let rest: Vec<usize> = of.iter().copied().filter(|&axis| axis != first).collect();
+        orders(&rest).into_iter().map(move |order| std::iter::once(first).chain(order).collect::<Vec<_>>())
+    };
+    of.iter().flat_map(with_first).collect()
+}
