@@ -29,6 +29,21 @@ const MIN_RATIO: f64 = 1.3;
 const RATIO_ERRORS: f64 = 4.0;
 const RATIO_TOLERANCE: f64 = 0.03;
 
+/// Intervals of frames in seconds, by their rate.
+const FRAME_INTERVALS_S: &[(&str, f64)] = &[
+    ("5 Hz", 1.0 / 5.0),
+    ("10 Hz", 1.0 / 10.0),
+    ("12.5 Hz", 1.0 / 12.5),
+    ("15 Hz", 1.0 / 15.0),
+    ("20 Hz", 1.0 / 20.0),
+    ("24 Hz", 1.0 / 24.0),
+    ("25 Hz", 1.0 / 25.0),
+    ("30 Hz", 1.0 / 30.0),
+    ("50 Hz", 1.0 / 50.0),
+    ("60 Hz", 1.0 / 60.0),
+    ("100 Hz", 1.0 / 100.0),
+];
+
 /// Two columns, or sums of columns, whose values exclude each other.
 #[derive(Debug, Clone, PartialEq)]
 pub struct ColumnContradiction {
@@ -86,13 +101,13 @@ impl Hypothesis {
         both.chain(each).chain(units(follower, follower_unit, [false, false, true]))
     }
 
-    /// Returns a hypothesis for each other unit of the time.
+    /// Returns a hypothesis for each other unit of the time, or rate of frames.
     pub(super) fn times(time: &TimeSpec, given: f64) -> impl Iterator<Item = Self> {
-        let column = match time {
-            TimeSpec::Clock(clock) => &clock.column,
-            TimeSpec::Frames(frames) => &frames.column,
+        let (column, units) = match time {
+            TimeSpec::Clock(clock) => (&clock.column, TimeUnit::ALL),
+            TimeSpec::Frames(frames) => (&frames.column, FRAME_INTERVALS_S),
         };
-        Self::units(column, (TimeUnit::ALL, given), [false, true, true])
+        Self::units(column, (units, given), [false, true, true])
     }
 }
 

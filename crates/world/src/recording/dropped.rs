@@ -4,6 +4,7 @@ use std::fmt;
 use std::path::PathBuf;
 
 use super::consistency::ColumnContradiction;
+use super::error::format_place;
 use crate::scenario::{InvalidField, format_compact};
 
 /// A part of a recording that is in no scenario.
@@ -19,7 +20,7 @@ pub struct DroppedItem {
 
 impl fmt::Display for DroppedItem {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(out, "{}:{}: {}", self.path.display(), self.line, self.omission)
+        write!(out, "{}: {}", format_place(&self.path, self.line), self.omission)
     }
 }
 
@@ -73,8 +74,9 @@ pub enum Omission {
     /// negative where the sign has no meaning.
     #[error(
         "{column}: {count} impossible {what}, the first one here, the last one on line {last_line}, the worst {} \
-         {unit}",
-        format_compact(*worst)
+         {unit}{}",
+        format_compact(*worst),
+        if *is_all { ", and no possible one: its sign or unit is probably wrong" } else { "" }
     )]
     ImpossibleValues {
         /// Name of the column.
@@ -89,6 +91,8 @@ pub enum Omission {
         last_line: u64,
         /// Value furthest out of range.
         worst: f64,
+        /// True if no value is possible.
+        is_all: bool,
     },
     /// Rows less than a millisecond later than the row before.
     #[error(
@@ -103,6 +107,21 @@ pub enum Omission {
         /// Time of the last valid row before them, in seconds.
         before_s: f64,
         /// Time of the first of them, in seconds.
+        found_s: f64,
+    },
+    /// Rows much earlier than the row before.
+    #[error(
+        "{column}: the time starts anew here ({found_s} s after {before_s} s); of {count} such places each begins \
+        another recording"
+    )]
+    ClockRestarts {
+        /// Name of the time column.
+        column: String,
+        /// Number of places.
+        count: usize,
+        /// Time of the row before the first place, in seconds.
+        before_s: f64,
+        /// Time at the first place, in seconds.
         found_s: f64,
     },
     /// Several rows of one vehicle at one time.
@@ -163,6 +182,16 @@ pub enum Omission {
         seconds: f64,
         /// Number of places.
         count: usize,
+    },
+    /// Values that are possible, but not usual in traffic.
+    #[error("{subject} reaches {} {unit}, more than is usual in traffic: check the unit in the map", format_fixed(*found, 1))]
+    Unusual {
+        /// Column or braking.
+        subject: String,
+        /// Largest value.
+        found: f64,
+        /// Unit of the value.
+        unit: &'static str,
     },
     /// Columns that contradict each other.
     #[error("{0}")]
@@ -239,9 +268,12 @@ impl Omission {
         true
     }
 
-    fn count(&mut self) -> Option<&mut usize> {
+    pub(super) fn count(&mut self) -> Option<&mut usize> {
         match self {
-            Self::DuplicateRows { count, .. }
+            Self::NonIncreasingTime { count, .. }
+            | Self::ClockRestarts { count, .. }
+            | Self::SpeedsContradict { count, .. }
+            | Self::DuplicateRows { count, .. }
             | Self::TracksSplit { count, .. }
             | Self::LaneBlips { count, .. }
             | Self::AbsentVehicles { count }

@@ -8,7 +8,7 @@ use super::load::load_first_rows;
 use super::map::{
     ClockSpec, LayoutSpec, LengthColumnSpec, LengthSpec, LengthUnit, PairsSpec, PositionSpec, RecordingMap,
     RecordingMapSpec, ReferencePoint, RelativeSpeedSpec, Sign, Spacing, SpacingSpec, SpeedSpec, SpeedUnit, TimeSpec,
-    TimeUnit, TracksSpec,
+    TimeUnit, TracksSpec, plain_unit,
 };
 use super::{LineProblem, Recording, binary};
 
@@ -95,15 +95,8 @@ impl Columns {
 fn unit_of<U: serde::de::DeserializeOwned>(all: &[(&'static str, f64)], column: &str, other: &str) -> Option<U> {
     let words = words(column);
     let is_named = |(unit, _): &&(&str, f64)| {
-        let alias = match *unit {
-            "km/h" => "kph",
-            "m/s" => "mps",
-            "ft/s" => "fps",
-            "ft" => "feet",
-            unit => unit,
-        };
-        let plain = unit.replace('/', "");
-        words.iter().any(|word| *word == plain || word == alias)
+        let joined = unit.replace('/', "");
+        words.iter().any(|word| *word == joined || plain_unit(word) == *unit)
     };
     // Longer units contain shorter ones.
     let named = all.iter().filter(is_named).max_by_key(|(unit, _)| unit.len());
@@ -132,8 +125,8 @@ fn words(name: &str) -> Vec<String> {
     words
 }
 
-/// Returns the candidate maps, the likeliest first.
-fn candidates(columns: &Columns) -> Vec<RecordingMapSpec> {
+/// Returns the candidate maps, the likeliest first: without units, if the file states them.
+fn candidates(columns: &Columns, states_units: bool) -> Vec<RecordingMapSpec> {
     let Some(time) = columns.find(TIMES, &[SPACINGS]) else { return Vec::new() };
     let spacing = columns.find(SPACINGS, &[RELATIVE, TIMES]);
     let relative = columns.find(RELATIVE, &[]);
@@ -144,10 +137,13 @@ fn candidates(columns: &Columns) -> Vec<RecordingMapSpec> {
     let mut maps = Vec::new();
     // Epoch times need no name.
     let time_unit = unit_of(TimeUnit::ALL, time, "").filter(|unit| *unit != TimeUnit::Seconds);
-    for (speed_unit, _) in SpeedUnit::ALL {
-        for (length_unit, _) in LengthUnit::ALL {
-            let speed_unit = |column: &str| unit_of(SpeedUnit::ALL, column, speed_unit).unwrap_or_default();
-            let length_unit = |column: &str| unit_of(LengthUnit::ALL, column, length_unit).unwrap_or_default();
+    let with_stated = |units: &[(&'static str, f64)]| {
+        states_units.then_some("").into_iter().chain(units.iter().map(|(unit, _)| *unit)).collect::<Vec<_>>()
+    };
+    for speed_unit in with_stated(SpeedUnit::ALL) {
+        for length_unit in with_stated(LengthUnit::ALL) {
+            let speed_unit = |column: &str| unit_of(SpeedUnit::ALL, column, speed_unit);
+            let length_unit = |column: &str| unit_of(LengthUnit::ALL, column, length_unit);
             let speed =
                 |column: &String| SpeedSpec { column: column.clone(), unit: speed_unit(column), acceleration: None };
             let from = Spacing::BumperToBumper;
@@ -207,7 +203,7 @@ fn candidates(columns: &Columns) -> Vec<RecordingMapSpec> {
 /// # Errors
 /// [`RecordingError`] for a file that cannot be read with any candidate.
 pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
-    let names = binary::column_names(path)?;
+    let (names, states_units) = binary::column_names(path)?;
     let built_in = match names.first().map(String::as_str) {
         Some("Date") => Some("openacc"),
         _ => RecordingMap::recognise(names.iter().map(String::as_str)),
@@ -219,7 +215,7 @@ pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
     }
     let columns = Columns(names.into_iter().map(|name| (name.clone(), words(&name))).collect());
     let (mut second_choice, mut contradiction) = (None, None);
-    for map in candidates(&columns) {
+    for map in candidates(&columns, states_units) {
         let Ok(checked) = RecordingMap::new(map.clone()) else { continue };
         match load_first_rows(path, &checked) {
             Ok(recording) => {

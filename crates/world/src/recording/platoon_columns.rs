@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, RecordingError};
-use super::map::{PlatoonSpec, RecordingMapSpec};
+use super::map::{LengthUnit, PlatoonSpec, RecordingMapSpec, SpeedUnit};
 use super::series::Clock;
 use super::table::{CsvColumn, CsvRow, excerpt};
 use super::text_rows::Fields;
@@ -62,11 +62,11 @@ impl PlatoonColumns {
         let time = Clock::find(names, &map.time)?;
         let (mut speeds, mut gaps) = (BTreeMap::new(), BTreeMap::new());
         for (index, name) in names.fields.iter().enumerate().filter(|(index, _)| *index != time.column.index) {
-            let column = |factor| CsvColumn { name: excerpt(name), index, factor };
+            let column = |factor| names.column(index, factor);
             let before = if let Some(number) = column_number(name, &platoon.speed.column) {
-                speeds.insert(number, column(platoon.speed.unit.factor()))
+                speeds.insert(number, column(platoon.speed.unit.map(SpeedUnit::factor))?)
             } else if let Some(number) = column_number(name, &platoon.spacing.column) {
-                gaps.insert(number, column(platoon.spacing.unit.factor()))
+                gaps.insert(number, column(platoon.spacing.unit.map(LengthUnit::factor))?)
             } else {
                 None
             };

@@ -43,7 +43,6 @@ pub(super) fn read(
     let gap_series = |(&number, column)| (number, series(column, ColumnQuantity::Gap));
     let mut samples = PlatoonSamples {
         map,
-        platoon,
         header,
         speeds: layout.speeds.iter().map(speed_series).collect(),
         gaps: layout.gaps.iter().map(gap_series).collect(),
@@ -55,7 +54,10 @@ pub(super) fn read(
     let mut bounds = PartBounds::new(2 * speeds.len());
     while let Some(row) = table.next_row()? {
         counter.check_row(row)?;
-        let Some(now_s) = clock.tick(row)? else { continue };
+        let now_s = clock.read(row)?;
+        if !clock.advance(row, now_s) {
+            continue;
+        }
         if bounds.ends_before((now_s * 1000.0).round() as i64) {
             let (core_ms, next_ms) = bounds.next();
             let text = TextFormat { time: clock.detected(), ..table.format() };
@@ -94,7 +96,6 @@ pub(super) fn read(
 /// Samples of the current part.
 struct PlatoonSamples<'m> {
     map: &'m RecordingMapSpec,
-    platoon: &'m PlatoonSpec,
     header: PlatoonHeader,
     speeds: BTreeMap<usize, Series>,
     gaps: BTreeMap<usize, Series>,
@@ -119,8 +120,7 @@ impl PlatoonSamples<'_> {
         (core_ms, time_factor, text): (Range<i64>, f64, TextFormat),
         mut dropped: Vec<DroppedItem>,
     ) -> Result<Recording, RecordingError> {
-        let Self { map, platoon, header, speeds, gaps, time_s, line } = self;
-        let (speed, spacing) = (platoon.speed.unit.factor(), platoon.spacing.unit.factor());
+        let Self { map, header, speeds, gaps, time_s, line, .. } = self;
         for (ahead, gap) in gaps {
             let (Some(leader), Some(follower)) = (speeds.get(ahead), speeds.get(&(ahead + 1))) else { continue };
             let mut comparison = Comparison::default();
@@ -129,14 +129,14 @@ impl PlatoonSamples<'_> {
                 let rates_mps = leader.zip(*follower).map(|(leader, follower)| [leader, -follower]);
                 comparison.add((at_s, line), gap_m, rates_mps);
             }
-            let names = [&leader.column.name, &follower.column.name];
-            let difference = format!("{} - {}", names[0], names[1]);
-            let gap = &gap.column.name;
-            let hypotheses: Vec<_> = Hypothesis::speeds([(names[0], speed), (names[1], speed)], &difference)
-                .chain(Hypothesis::units(gap, (LengthUnit::ALL, spacing), [true, false, false]))
+            let [leader, follower, gap] = [leader, follower, gap].map(|series| &series.column);
+            let difference = format!("{} - {}", leader.name, follower.name);
+            let speeds = [leader, follower].map(|column| (column.name.as_str(), column.factor));
+            let hypotheses: Vec<_> = Hypothesis::speeds(speeds, &difference)
+                .chain(Hypothesis::units(&gap.name, (LengthUnit::ALL, gap.factor), [true, false, false]))
                 .chain(Hypothesis::times(&map.time, time_factor))
                 .collect();
-            let columns = [&format!("the change of {gap}"), &*difference];
+            let columns = [&format!("the change of {}", gap.name), &*difference];
             comparison.check(table, &difference, columns, (&hypotheses, &mut dropped))?;
         }
 

@@ -10,10 +10,14 @@ use super::table::{CsvColumn, CsvRow, excerpt};
 
 /// Largest magnitude of a time, in seconds; still exact to a millisecond.
 const MAX_TIME_S: f64 = 1e10;
+/// A time that is earlier than the last by more is no late row, in seconds.
+const MIN_RESTART_S: f64 = 1.0;
 /// Largest gap within a platoon, in metres; vehicles further apart do not follow.
 const MAX_GAP_M: f64 = 1000.0;
 /// Largest speed of a scenario, in m/s.
 const MAX_SPEED_MPS: f64 = 100.0;
+/// Speeds above are reported, because their unit may be wrong, in m/s.
+const MAX_USUAL_SPEED_MPS: f64 = 50.0;
 /// Shortest and longest vehicle of a scenario, in metres.
 const LENGTH_RANGE_M: [f64; 2] = [0.1, 100.0];
 
@@ -27,8 +31,10 @@ pub(super) fn round_to_milli(value: f64) -> f64 {
 pub(super) struct Clock {
     pub(super) column: CsvColumn,
     last_s: Option<f64>,
-    /// First row that is not later, without the count, and number of such rows.
-    not_later: Option<(DroppedItem, usize)>,
+    /// Rows that are not later.
+    not_later: Option<DroppedItem>,
+    /// Places where the time starts anew.
+    restarts: Option<DroppedItem>,
     format: ClockFormat,
     is_first: bool,
 }
@@ -53,9 +59,10 @@ impl Clock {
             TimeSpec::Frames(frames) => (&frames.column, 1.0 / frames.rate_hz, ClockFormat::Stated),
         };
         Ok(Self {
-            column: CsvColumn::find(names, column, factor)?,
+            column: CsvColumn::find(names, column, Some(factor))?,
             last_s: None,
             not_later: None,
+            restarts: None,
             format,
             is_first: true,
         })
@@ -118,28 +125,29 @@ impl Clock {
         }
     }
 
-    /// Returns the row's time in seconds; `None` if it is not later than the last.
-    pub(super) fn tick(&mut self, row: &CsvRow<'_>) -> Result<Option<f64>, RecordingError> {
-        let found_s = self.read(row)?;
+    /// Returns whether a row's time is so far before the last that another recording begins, and counts such places.
+    pub(super) fn starts_anew(&mut self, row: &CsvRow<'_>, found_s: f64) -> bool {
+        let Some(before_s) = self.last_s.filter(|last_s| found_s < last_s - MIN_RESTART_S) else { return false };
+        let first = Omission::ClockRestarts { column: self.column.name.clone(), count: 0, before_s, found_s };
+        row.count(&mut self.restarts, || first);
+        true
+    }
+
+    /// Returns whether a row's time is later than the last, and counts those that are not.
+    pub(super) fn advance(&mut self, row: &CsvRow<'_>, found_s: f64) -> bool {
         if let Some(before_s) = self.last_s
             && round_to_milli(found_s) <= round_to_milli(before_s)
         {
-            let column = self.column.name.clone();
-            let first = Omission::NonIncreasingTime { column, count: 0, before_s, found_s };
-            self.not_later.get_or_insert_with(|| (row.dropped_item(first), 0)).1 += 1;
-            return Ok(None);
+            let first = Omission::NonIncreasingTime { column: self.column.name.clone(), count: 0, before_s, found_s };
+            row.count(&mut self.not_later, || first);
+            return false;
         }
         self.last_s = Some(found_s);
-        Ok(Some(found_s))
+        true
     }
 
     pub(super) fn report(self, dropped: &mut Vec<DroppedItem>) {
-        if let Some((mut first, rows)) = self.not_later {
-            if let Omission::NonIncreasingTime { count, .. } = &mut first.omission {
-                *count = rows;
-            }
-            dropped.push(first);
-        }
+        dropped.extend(self.not_later.into_iter().chain(self.restarts));
     }
 }
 
@@ -183,6 +191,8 @@ pub(super) struct Series {
     /// Line of the first missing value, and number of missing values.
     missing: Option<(u64, usize)>,
     impossible: Option<ImpossibleValues>,
+    /// Line of the first unusual speed, and the largest speed.
+    unusual: Option<(u64, f64)>,
 }
 
 struct ImpossibleValues {
@@ -194,7 +204,7 @@ struct ImpossibleValues {
 
 impl Series {
     pub(super) fn new(column: CsvColumn, quantity: ColumnQuantity) -> Self {
-        Self { column, quantity, values: Vec::new(), missing: None, impossible: None }
+        Self { column, quantity, values: Vec::new(), missing: None, impossible: None, unusual: None }
     }
 
     /// Returns the row's value, if there is a possible one.
@@ -209,6 +219,11 @@ impl Series {
             return Ok(None);
         };
         if self.quantity.allows(value) {
+            let is_speed = matches!(self.quantity, ColumnQuantity::Speed | ColumnQuantity::SignedSpeed);
+            if is_speed && value.abs() > MAX_USUAL_SPEED_MPS {
+                let (_, largest_mps) = self.unusual.get_or_insert((row.line, 0.0));
+                *largest_mps = largest_mps.max(value.abs());
+            }
             return Ok(Some(value));
         }
         let first = ImpossibleValues { first_line: row.line, last_line: row.line, count: 0, worst: value };
@@ -228,13 +243,16 @@ impl Series {
         dropped.extend(
             self.missing.map(|(line, count)| item(line, Omission::MissingValues { column: column(), count, rows })),
         );
+        let unusual = |(line, found)| item(line, Omission::Unusual { subject: column(), found, unit: "m/s" });
+        dropped.extend(self.unusual.map(unusual));
         if let Some(ImpossibleValues { first_line, last_line, count, worst }) = self.impossible {
             let (what, unit) = match self.quantity {
                 ColumnQuantity::Gap => ("spacings", "m"),
                 ColumnQuantity::Length => ("lengths", "m"),
                 _ => ("speeds", "m/s"),
             };
-            let omission = Omission::ImpossibleValues { column: column(), what, unit, count, last_line, worst };
+            let is_all = count + self.missing.map_or(0, |(_, missing)| missing) == rows;
+            let omission = Omission::ImpossibleValues { column: column(), what, unit, count, last_line, worst, is_all };
             dropped.push(item(first_line, omission));
         }
     }

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::dropped::{DroppedItem, Omission};
 use super::error::{BinaryProblem, ColumnProblem, LineProblem, RecordingError};
-use super::map::{DecimalMark, RecordingMapSpec};
+use super::map::{DecimalMark, RecordingMapSpec, factor_by_name};
 use super::number::parse_number;
 use super::text::TextFormat;
 use super::text_rows::{Fields, TextRows};
@@ -22,7 +22,11 @@ pub(super) struct RowReader<'a> {
 
 enum RowSource<'a> {
     Text(Box<TextRows<'a>>),
-    Binary { rows: Box<dyn BinaryRows + 'a>, names: Option<Fields> },
+    /// Rows, with the names and units of their columns until they are read.
+    Binary {
+        rows: Box<dyn BinaryRows + 'a>,
+        names: Option<(Fields, Fields)>,
+    },
 }
 
 /// Rows of a file that is no text.
@@ -32,8 +36,8 @@ pub(super) trait BinaryRows {
 }
 
 impl<'a> RowReader<'a> {
-    /// Reads rows with named columns.
-    pub(super) fn from_binary(rows: Box<dyn BinaryRows + 'a>, names: Fields, path: &'a Path) -> Self {
+    /// Reads rows whose columns have names and units.
+    pub(super) fn from_binary(rows: Box<dyn BinaryRows + 'a>, names: (Fields, Fields), path: &'a Path) -> Self {
         let rows = RowSource::Binary { rows, names: Some(names) };
         Self { path, rows, row: CsvRow::new(path, DecimalMark::Point), decimals: None, rows_left: usize::MAX }
     }
@@ -44,6 +48,9 @@ impl<'a> RowReader<'a> {
         path: &'a Path,
         map: Option<&RecordingMapSpec>,
     ) -> Result<Self, RecordingError> {
+        if map.is_some_and(|map| map.dbc.is_some()) {
+            return Err(RecordingError::Binary { path: path.to_owned(), problem: BinaryProblem::NeedsMdf });
+        }
         let start = CsvRow { line: 1, ..CsvRow::new(path, DecimalMark::Point) };
         let rows = TextRows::new(from, |sample| TextFormat::detect(sample, map));
         let rows = rows.map_err(|error| start.io_error(error))?;
@@ -98,7 +105,7 @@ impl<'a> RowReader<'a> {
                 }
             },
             RowSource::Binary { names, .. } if names.is_some() => {
-                row.fields = names.take().unwrap_or_default();
+                (row.fields, row.units) = names.take().unwrap_or_default();
                 Ok(Some(row))
             }
             RowSource::Binary { rows, .. } => {
@@ -135,6 +142,8 @@ pub(super) struct CsvRow<'a> {
     /// Line of a text; row of any other file.
     pub(super) line: u64,
     pub(super) fields: Fields,
+    /// Units of the columns, beside their names, if the file states them.
+    units: Fields,
     /// Numbers of a row that is no text.
     numbers: Vec<f64>,
     /// True if the last field may lack its end.
@@ -143,7 +152,8 @@ pub(super) struct CsvRow<'a> {
 
 impl<'a> CsvRow<'a> {
     fn new(path: &'a Path, decimal: DecimalMark) -> Self {
-        Self { path, decimal, line: 0, fields: Fields::default(), numbers: Vec::new(), is_cut: false }
+        let (fields, units) = Default::default();
+        Self { path, decimal, line: 0, fields, units, numbers: Vec::new(), is_cut: false }
     }
 
     pub(super) fn text(&self, index: usize) -> &str {
@@ -174,6 +184,7 @@ impl<'a> CsvRow<'a> {
             Some(number) if number.is_nan() => Ok(None),
             _ => {
                 let hint = match self.decimal {
+                    _ if !text.contains(['.', ',']) => "",
                     DecimalMark::Point if parse_number(text, DecimalMark::Comma).is_some() => {
                         "; set decimal = \"comma\" in the map for decimal commas"
                     }
@@ -187,6 +198,16 @@ impl<'a> CsvRow<'a> {
         }
     }
 
+    /// Returns the column at a place of a row of names. Without `factor`, its unit is that in the file.
+    pub(super) fn column(&self, index: usize, factor: Option<f64>) -> Result<CsvColumn, RecordingError> {
+        let name = excerpt(self.fields.get(index).unwrap_or_default());
+        let unit = self.units.get(index).unwrap_or_default();
+        match factor.or_else(|| if is_missing(unit) { Some(1.0) } else { factor_by_name(unit) }) {
+            Some(factor) => Ok(CsvColumn { name, index, factor }),
+            None => self.reject(&name, ColumnProblem::UnknownUnit { unit: excerpt(unit) }),
+        }
+    }
+
     pub(super) fn reject<T>(&self, column: &str, problem: ColumnProblem) -> Result<T, RecordingError> {
         self.reject_line(LineProblem::Column { column: column.to_owned(), problem })
     }
@@ -197,6 +218,12 @@ impl<'a> CsvRow<'a> {
 
     pub(super) fn reject_line<T>(&self, problem: LineProblem) -> Result<T, RecordingError> {
         Err(RecordingError::Line { path: self.path.to_owned(), line: self.line, problem })
+    }
+
+    /// Counts an omission whose first occurrence, with count 0, is `first`.
+    pub(super) fn count(&self, found: &mut Option<DroppedItem>, first: impl FnOnce() -> Omission) {
+        let item = found.get_or_insert_with(|| self.dropped_item(first()));
+        item.omission.count().into_iter().for_each(|count| *count += 1);
     }
 
     pub(super) fn dropped_item(&self, what: Omission) -> DroppedItem {
@@ -230,10 +257,10 @@ pub(super) struct CsvColumn {
 }
 
 impl CsvColumn {
-    pub(super) fn find(names: &CsvRow<'_>, name: &str, factor: f64) -> Result<Self, RecordingError> {
+    pub(super) fn find(names: &CsvRow<'_>, name: &str, factor: Option<f64>) -> Result<Self, RecordingError> {
         let mut found = names.fields.iter().enumerate().filter(|(_, known)| *known == name);
         match (found.next(), found.next()) {
-            (Some((index, _)), None) => Ok(Self { name: excerpt(name), index, factor }),
+            (Some((index, _)), None) => names.column(index, factor),
             (Some(_), Some(_)) => names.reject(&excerpt(name), ColumnProblem::Repeated),
             (None, _) => {
                 let known = excerpt(&names.fields.iter().collect::<Vec<_>>().join(", "));

@@ -8,7 +8,7 @@ use super::acceleration::AccelerationCheck;
 use super::consistency::{Comparison, Hypothesis};
 use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, LineProblem, RecordingError};
-use super::map::{LengthSpec, LengthUnit, RecordingMapSpec, SpeedUnit, TracksSpec};
+use super::map::{LengthSpec, LengthUnit, RecordingMapSpec, SpeedUnit, TimeSpec, TracksSpec};
 use super::parts::{ALL_TIMES, MAX_POINTS, PART_ROWS, PartBounds, PartSink};
 use super::series::{Clock, ColumnQuantity, Series};
 use super::spill::SpilledPoints;
@@ -30,13 +30,16 @@ pub(super) fn read(
     each: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
     let mut clock = Clock::find(names, &map.time)?;
-    let vehicle = CsvColumn::find(names, &spec.vehicle, 1.0)?;
-    let lane = spec.lane.as_ref().map(|name| CsvColumn::find(names, name, 1.0)).transpose()?;
+    let vehicle = CsvColumn::find(names, &spec.vehicle, Some(1.0))?;
+    let lane = spec.lane.as_ref().map(|name| CsvColumn::find(names, name, Some(1.0))).transpose()?;
     let series = |name: &str, factor, quantity| Ok(Series::new(CsvColumn::find(names, name, factor)?, quantity));
-    let mut position = series(&spec.position.column, spec.position.unit.factor(), ColumnQuantity::Signed)?;
-    let mut speed = series(&spec.speed.column, spec.speed.unit.factor(), ColumnQuantity::SignedSpeed)?;
+    let mut position =
+        series(&spec.position.column, spec.position.unit.map(LengthUnit::factor), ColumnQuantity::Signed)?;
+    let mut speed = series(&spec.speed.column, spec.speed.unit.map(SpeedUnit::factor), ColumnQuantity::SignedSpeed)?;
     let (mut length, constant_m) = match &spec.length {
-        LengthSpec::Column(column) => (Some(series(&column.name, column.unit.factor(), ColumnQuantity::Length)?), 0.0),
+        LengthSpec::Column(column) => {
+            (Some(series(&column.name, column.unit.map(LengthUnit::factor), ColumnQuantity::Length)?), 0.0)
+        }
         LengthSpec::Metres(metres) => (None, *metres),
     };
     let mut acceleration = AccelerationCheck::find(names, &spec.speed)?;
@@ -90,8 +93,8 @@ pub(super) fn read(
         series.report(path, counter.rows, &mut dropped);
     }
     let time = (clock.column.factor, clock.detected());
-    let mut parts =
-        TrafficParts { table, map, spec, time, acceleration, vehicles: vehicles.into_vehicles().into(), dropped };
+    let (columns, vehicles) = ([position.column, speed.column], vehicles.into_vehicles().into());
+    let mut parts = TrafficParts { table, map, spec, columns, time, acceleration, vehicles, dropped };
     if spilled.is_empty() {
         each(parts.part(points, ALL_TIMES)?)?;
         return Ok(());
@@ -125,6 +128,8 @@ struct TrafficParts<'t, 'p> {
     table: &'t RowReader<'p>,
     map: &'t RecordingMapSpec,
     spec: &'t TracksSpec,
+    /// Columns of positions and of speeds.
+    columns: [CsvColumn; 2],
     /// Size of the unit of time in seconds, and detected format.
     time: (f64, Option<&'static str>),
     acceleration: Option<AccelerationCheck>,
@@ -136,7 +141,7 @@ struct TrafficParts<'t, 'p> {
 impl TrafficParts<'_, '_> {
     /// Builds the tracks of a part, whose margins lie outside of the core.
     fn part(&mut self, mut points: Vec<TrackPoint>, core_ms: Range<i64>) -> Result<Recording, RecordingError> {
-        let Self { table, map, spec, acceleration, .. } = self;
+        let Self { table, map, spec, columns, acceleration, .. } = self;
         let path = table.path();
         points.iter_mut().for_each(|point| point.is_margin = !core_ms.contains(&point.time_ms));
         let mut dropped = std::mem::take(&mut self.dropped);
@@ -150,7 +155,7 @@ impl TrafficParts<'_, '_> {
             reference: spec.position.of,
             interpolate_s: map.interpolate_s,
             lane_blip_s: spec.lane_blip_s,
-            speeds_agree: check(table, (map, spec), (&points, self.time.0), &mut dropped)?,
+            speeds_agree: check(table, columns, (&points, &map.time, self.time.0), &mut dropped)?,
         };
         if let Some(acceleration) = acceleration {
             for vehicle in points.chunk_by(|a, b| a.vehicle == b.vehicle) {
@@ -183,8 +188,8 @@ impl TrafficParts<'_, '_> {
 /// Compares sorted positions with speeds. Returns whether they agree.
 fn check(
     table: &RowReader<'_>,
-    (map, spec): (&RecordingMapSpec, &TracksSpec),
-    (points, time_factor): (&[TrackPoint], f64),
+    [position, speed]: &[CsvColumn; 2],
+    (points, time, time_factor): (&[TrackPoint], &TimeSpec, f64),
     dropped: &mut Vec<DroppedItem>,
 ) -> Result<bool, RecordingError> {
     let mut comparison = Comparison::undirected();
@@ -195,13 +200,11 @@ fn check(
             comparison.add((point.time_ms as f64 / 1000.0, point.line), point.position_m, speed_mps);
         }
     }
-    let (position, speed) = (&spec.position, &spec.speed);
-    let speeds = Hypothesis::units(&speed.column, (SpeedUnit::ALL, speed.unit.factor()), [false, true, false]);
-    let lengths = (LengthUnit::ALL, position.unit.factor());
-    let positions = Hypothesis::units(&position.column, lengths, [true, false, false]);
-    let hypotheses: Vec<_> = speeds.chain(positions).chain(Hypothesis::times(&map.time, time_factor)).collect();
-    let change = format!("the change of {}", position.column);
-    comparison.check(table, &speed.column, [&change, &speed.column], (&hypotheses, dropped))
+    let speeds = Hypothesis::units(&speed.name, (SpeedUnit::ALL, speed.factor), [false, true, false]);
+    let positions = Hypothesis::units(&position.name, (LengthUnit::ALL, position.factor), [true, false, false]);
+    let hypotheses: Vec<_> = speeds.chain(positions).chain(Hypothesis::times(time, time_factor)).collect();
+    let change = format!("the change of {}", position.name);
+    comparison.check(table, &speed.name, [&change, &speed.name], (&hypotheses, dropped))
 }
 
 /// Texts, numbered in order of appearance.
