@@ -1,5 +1,6 @@
 //! `crumple import`: converts recorded platoons and OpenSCENARIO files into scenarios.
 
+use std::collections::HashSet;
 use std::ffi::OsStr;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -9,7 +10,7 @@ use serde::Serialize;
 
 use super::CliError;
 use super::import_openscenario::{OpenScenarioArgs, is_openscenario};
-use super::output_folder::{EarlierFiles, OutputFolder, stage_unless_edited};
+use super::output_folder::{OutputFolder, stage_unless_edited};
 use super::progress::read_bar;
 use super::simulate::OutputFormat;
 use super::{feature, output, simulate, value_enums};
@@ -123,7 +124,7 @@ struct RecordingImport {
 }
 
 impl ImportReport {
-    fn new(imported: &ImportResult, out: &Path) -> Self {
+    fn new(imported: &ImportResult, scenarios: Vec<String>) -> Self {
         let one = |source: &ImportedRecording| RecordingImport {
             recording: source.path.display().to_string(),
             format: source.format.name().to_owned(),
@@ -131,9 +132,8 @@ impl ImportReport {
             scenarios: source.scenarios,
             hardest_braking: source.hardest.to_string(),
         };
-        let file = |scenario: &ImportedScenario| out.join(&scenario.file_name).display().to_string();
         Self {
-            scenarios: imported.scenarios.iter().map(file).collect(),
+            scenarios,
             recordings: imported.sources.iter().map(one).collect(),
             left_out: imported.dropped.iter().map(ToString::to_string).collect(),
         }
@@ -269,12 +269,36 @@ impl Import {
 
     fn import(&self, map: Option<&RecordingMap>, quiet: bool) -> Result<(), CliError> {
         let (min_brake, leaders) = (parse_min_brake(self.min_brake)?, self.leaders);
+        // Scenarios are staged at once: a long recording may have more than memory holds.
+        let (folder, mut files) = (OutputFolder::without_listing(&self.out, self.force), StagedFiles::default());
+        let (mut names, mut refused) = (Vec::new(), None);
+        let mut take = |ImportedScenario { file_name, toml, .. }: ImportedScenario| {
+            refused = folder.stage(&mut files, &file_name, toml.as_bytes()).err();
+            names.push(file_name);
+            refused.is_none()
+        };
+        let is_new = !self.out.exists();
         let (bar, progress) = read_bar(quiet);
-        let imported = import(&self.recordings, map, &ImportOptions { min_brake, leaders }, Some(&progress));
+        let options = ImportOptions { min_brake, leaders };
+        let imported = import(&self.recordings, map, &options, Some(&progress), &mut take);
         bar.finish_and_clear();
-        let imported = imported?;
+        let imported = match refused {
+            Some(refused) => Err(refused),
+            None => imported.map_err(CliError::from),
+        };
+        let imported = match imported {
+            Err(error) => {
+                drop(files);
+                if is_new {
+                    // Staging created it. A folder that is not empty stays.
+                    let _ = fs::remove_dir(&self.out);
+                }
+                return Err(error);
+            }
+            Ok(imported) => imported,
+        };
         imported.sources.iter().for_each(|source| note_text_format(&source.path, &source.text, quiet));
-        if imported.scenarios.is_empty() {
+        if names.is_empty() {
             imported.dropped.iter().for_each(|dropped| output::note(&dropped.to_string(), quiet));
             let words = imported.sources.iter().map(|one| format!("{}: {}", one.path.display(), one.hardest));
             let words: Vec<_> = words.collect();
@@ -284,15 +308,13 @@ impl Import {
                 words.join("; ")
             );
             let printed = match self.format {
-                OutputFormat::Json => output::print_json(&ImportReport::new(&imported, &self.out)),
+                OutputFormat::Json => output::print_json(&ImportReport::new(&imported, names)),
                 OutputFormat::Text => Ok(()),
             };
             return CliError::gate_first(Err(CliError::Gate(none)), printed);
         }
-        let file = |scenario: &ImportedScenario| (scenario.file_name.clone(), scenario.toml.clone().into_bytes());
-        let files: Vec<_> = imported.scenarios.iter().map(file).collect();
-        OutputFolder::without_listing(&self.out, self.force).write(&files, EarlierFiles::Keep)?;
-        let others = self.count_other_scenarios(&imported)?;
+        files.commit()?;
+        let others = self.count_other_scenarios(&names)?;
         if others > 0 {
             let out = self.out.display();
             output::note(&format!("note: {out} also contains {others} scenario files of other origin"), quiet);
@@ -306,15 +328,16 @@ impl Import {
             format!("{}: {} scenario{plural} ({format})\n", TerminalText(&path), source.scenarios)
         };
         let words = || imported.sources.iter().map(line).collect();
-        output::print_result(self.format, &ImportReport::new(&imported, &self.out), words)
+        let paths = names.iter().map(|name| self.out.join(name).display().to_string()).collect();
+        output::print_result(self.format, &ImportReport::new(&imported, paths), words)
     }
 
     /// Counts scenario files in the folder that this import did not write, such as those of an earlier threshold.
-    fn count_other_scenarios(&self, imported: &ImportResult) -> Result<usize, CliError> {
+    fn count_other_scenarios(&self, written: &[String]) -> Result<usize, CliError> {
         let entries = fs::read_dir(&self.out).map_err(DiskError::at(&self.out))?;
-        let written = |name: &OsStr| imported.scenarios.iter().any(|scenario| OsStr::new(&scenario.file_name) == name);
+        let written: HashSet<_> = written.iter().map(OsStr::new).collect();
         let is_scenario = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "toml");
         let others = entries.flatten().map(|entry| entry.path()).filter(is_scenario);
-        Ok(others.filter(|path| path.file_name().is_some_and(|name| !written(name))).count())
+        Ok(others.filter(|path| path.file_name().is_some_and(|name| !written.contains(name))).count())
     }
 }

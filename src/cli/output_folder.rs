@@ -99,7 +99,8 @@ impl OutputFolder {
         Ok(disk::remove(&stale)?)
     }
 
-    fn stage(&self, files: &mut StagedFiles, name: &str, contents: &[u8]) -> Result<(), CliError> {
+    /// Stages a file, and creates the folder if it is missing. A file with equal contents stays as it is.
+    pub(super) fn stage(&self, files: &mut StagedFiles, name: &str, contents: &[u8]) -> Result<(), CliError> {
         let path = self.path.join(name);
         if let Some(link) = self.find_symlink(&path) {
             return Err(CliError::at(link, SYMLINK_PROBLEM));

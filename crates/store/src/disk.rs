@@ -2,13 +2,14 @@
 
 mod unfinished;
 
-use std::collections::BTreeSet;
+use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
 use rayon::prelude::*;
-use tempfile::TempPath;
+use tempfile::{NamedTempFile, TempPath};
 pub(crate) use unfinished::is_unfinished;
 pub use unfinished::remove_unfinished;
 pub(crate) use unfinished::{numbered_name, parse_number, remove_all_unfinished};
@@ -31,17 +32,14 @@ impl DiskError {
 }
 
 /// Files that are written together. Each is written under a temporary name in its folder and then renamed, so that a
-/// failure leaves no partial file. Staging removes the unfinished files of ended processes from that folder.
+/// failure leaves no partial file. Staging removes the unfinished files of ended processes from that folder. One file
+/// stays open for each folder.
 #[derive(Default)]
 pub struct StagedFiles {
-    staged: Vec<StagedFile>,
-}
-
-/// A file under its temporary name.
-struct StagedFile {
-    file: fs::File,
-    temp_path: TempPath,
-    path: PathBuf,
+    /// Temporary file of each path. Declared before the locks, so that it is dropped before them.
+    staged: BTreeMap<PathBuf, TempPath>,
+    /// Lock of each folder, which protects the temporary files there.
+    locks: BTreeMap<PathBuf, NamedTempFile>,
 }
 
 impl StagedFiles {
@@ -50,51 +48,57 @@ impl StagedFiles {
     /// # Errors
     /// [`DiskError`] if it cannot be written, or its path is staged already: [`io::ErrorKind::AlreadyExists`].
     pub fn stage(&mut self, path: &Path, contents: impl AsRef<[u8]>) -> Result<(), DiskError> {
-        if self.staged.iter().any(|staged| staged.path == path) {
+        if self.staged.contains_key(path) {
             let doubled = "two results would have this path: give the scenarios different names";
             return Err(DiskError::at(path)(io::Error::new(io::ErrorKind::AlreadyExists, doubled)));
         }
-        let folder = parent_folder(path);
-        if !self.staged.iter().any(|staged| parent_folder(&staged.path) == folder) {
-            // A folder that cannot be listed may still be writable.
-            let _ = remove_unfinished(folder);
-        }
-        let stage = || {
-            // Fail before anything is written.
-            if path.is_dir() {
-                return Err(io::ErrorKind::IsADirectory.into());
-            }
-            let mut file = unfinished::create_locked(folder)?;
-            file.write_all(contents.as_ref())?;
-            Ok(file.into_parts())
-        };
-        let (file, unfinished) = stage().map_err(|error: io::Error| {
+        let temp_path = self.write_temporary(path, contents.as_ref()).map_err(|error| {
             // Only the kind: the error itself would name a temporary file that the caller does not know.
             DiskError::at(path)(match error.kind() {
                 io::ErrorKind::NotFound => io::Error::new(io::ErrorKind::NotFound, "there is no such folder"),
                 kind => kind.into(),
             })
         })?;
-        self.staged.push(StagedFile { file, temp_path: unfinished, path: path.to_owned() });
+        self.staged.insert(path.to_owned(), temp_path);
         Ok(())
     }
 
-    /// Moves every staged file to its path.
+    fn write_temporary(&mut self, path: &Path, contents: &[u8]) -> io::Result<TempPath> {
+        // Fail before anything is written.
+        if path.is_dir() {
+            return Err(io::ErrorKind::IsADirectory.into());
+        }
+        let folder = parent_folder(path);
+        let lock = match self.locks.entry(folder.to_owned()) {
+            Entry::Occupied(lock) => lock.into_mut(),
+            Entry::Vacant(place) => {
+                // A folder that cannot be listed may still be writable.
+                let _ = remove_unfinished(folder);
+                place.insert(unfinished::create_lock(folder)?)
+            }
+        };
+        let (mut file, temp_path) = unfinished::create_protected(lock.path(), self.staged.len())?;
+        file.write_all(contents)?;
+        Ok(temp_path)
+    }
+
+    /// Moves every staged file to its path, in the order of the paths.
     ///
     /// # Errors
     /// [`DiskError`] names the first file that cannot be moved; earlier files are in place.
     pub fn commit(self) -> Result<(), DiskError> {
         // Sync before the renames; otherwise a loss of power could leave files with the new names and no contents. In
         // parallel, because each call waits for the disk.
-        self.staged.par_iter().try_for_each(|staged| staged.file.sync_all().map_err(DiskError::at(&staged.path)))?;
-        let mut folders = BTreeSet::new();
-        for StagedFile { temp_path: unfinished, path, .. } in self.staged {
-            fs::rename(&unfinished, &path).map_err(DiskError::at(&path))?;
+        self.staged.par_iter().try_for_each(|(path, temp_path)| {
+            let file = fs::File::options().write(true).open(temp_path);
+            file.and_then(|file| file.sync_all()).map_err(DiskError::at(path))
+        })?;
+        for (path, temp_path) in self.staged {
+            fs::rename(&temp_path, &path).map_err(DiskError::at(&path))?;
             // The rename left no temporary file to delete.
-            let _ = unfinished.keep();
-            folders.insert(parent_folder(&path).to_owned());
+            let _ = temp_path.keep();
         }
-        folders.par_iter().try_for_each(|folder| sync_folder(folder))
+        self.locks.par_iter().try_for_each(|(folder, _)| sync_folder(folder))
     }
 }
 

@@ -99,7 +99,7 @@ fn files_of_killed_processes_are_removed_and_no_others() {
         let written = write();
         assert_eq!(exit_code(&written), 0, "{}", stderr(&written));
         let unfinished = || file_names_in(&results).iter().filter(|name| name.contains("unfinished")).count();
-        assert_eq!(unfinished(), 1, "{kind}: {:?}", file_names_in(&results));
+        assert_eq!(unfinished(), 2, "the file and its lock, {kind}: {:?}", file_names_in(&results));
         writing.commit().unwrap();
         assert_eq!(fs::read_to_string(results.join("own.json")).unwrap(), "whole");
         assert_eq!((exit_code(&write()), unfinished()), (0, 0));

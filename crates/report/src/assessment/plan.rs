@@ -15,7 +15,7 @@ use crumple_core::digest::sha256;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
-use crumple_world::recording::{DroppedItem, ImportOptions, ImportResult, ImportedScenario, import};
+use crumple_world::recording::{DroppedItem, ImportOptions, ImportedScenario, import};
 use crumple_world::scenario::file;
 use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as space_file};
 use crumple_world::scenario::{Scenario, built_in_scenario_names};
@@ -280,7 +280,7 @@ impl PlanLoader<'_> {
                 return Err(self.field_error(&format!("gates[{index}].{field}"), problem));
             }
         }
-        let ImportResult { scenarios: recorded, dropped: left_out, .. } = self.import_recordings(&config)?;
+        let (recorded, left_out) = self.import_recordings(&config)?;
         let file_scenarios = self.load_scenarios(&config, recorded)?;
         let search_spaces = self.load_spaces("search.spaces", &config.search_spaces())?;
         let rate_spaces = self.load_spaces("distributions", &config.rate_spaces())?;
@@ -361,17 +361,26 @@ impl PlanLoader<'_> {
         Ok(controllers)
     }
 
-    fn import_recordings(&self, config: &AssessConfig) -> Result<ImportResult, AssessConfigError> {
+    /// Returns the scenarios of the recordings and the dropped parts.
+    fn import_recordings(
+        &self,
+        config: &AssessConfig,
+    ) -> Result<(Vec<ImportedScenario>, Vec<DroppedItem>), AssessConfigError> {
         let wrong = |problem: String| self.field_error("recordings", problem);
         let paths: Vec<_> = config.recordings.iter().map(|named| self.folder.join(named)).collect();
-        let imported =
-            import(&paths, None, &ImportOptions::default(), None).map_err(|error| wrong(error.to_string()))?;
+        let mut scenarios = Vec::new();
+        let mut take = |scenario| {
+            scenarios.push(scenario);
+            true
+        };
+        let imported = import(&paths, None, &ImportOptions::default(), None, &mut take)
+            .map_err(|error| wrong(error.to_string()))?;
         match imported.sources.iter().find(|source| source.scenarios == 0) {
             Some(empty) => Err(wrong(format!(
                 "{}: the recording has no braking episode that fits a scenario",
                 empty.path.display()
             ))),
-            None => Ok(imported),
+            None => Ok((scenarios, imported.dropped)),
         }
     }
 

@@ -23,11 +23,9 @@ pub struct ImportOptions {
     pub leaders: LeaderSelection,
 }
 
-/// Scenarios of a set of recordings; none is written yet.
+/// Result of the import of a set of recordings.
 #[derive(Debug, Clone, PartialEq, Default)]
 pub struct ImportResult {
-    /// One scenario for each episode, in the order of the recordings, with unique names.
-    pub scenarios: Vec<ImportedScenario>,
     /// Imported recordings, in order.
     pub sources: Vec<ImportedRecording>,
     /// Dropped parts, in the order of the recordings.
@@ -60,10 +58,11 @@ pub struct ImportedRecording {
     pub hardest: HardestBrakingResult,
 }
 
-/// Reads recordings, with a map if there is one, and renders a scenario file for each braking episode. Writes nothing.
+/// Reads recordings, with a map if there is one, and passes the scenario of each braking episode to `take`, in the
+/// order of the recordings. The import ends early if `take` returns false.
 ///
-/// Names consist of format, file and number, such as `openacc-long-setting-dynamic-part16-01`. Files with the same name
-/// in different folders share one sequence of numbers.
+/// Names are unique and consist of format, file and number, such as `openacc-long-setting-dynamic-part16-01`. Files
+/// with the same name in different folders share one sequence of numbers.
 ///
 /// # Errors
 /// [`RecordingError`] for the first recording that cannot be read, see [`load`](super::load).
@@ -72,65 +71,75 @@ pub fn import(
     map: Option<&RecordingMap>,
     options: &ImportOptions,
     progress: Option<&ReadProgress>,
+    take: &mut dyn FnMut(ImportedScenario) -> bool,
 ) -> Result<ImportResult, RecordingError> {
     let mut imported = ImportResult::default();
     let mut numbers = BTreeMap::new();
+    let mut goes_on = true;
     for path in paths {
         let mut source: Option<ImportedRecording> = None;
-        let (mut hardest, before) = (HardestSearch::default(), imported.scenarios.len());
+        let (mut hardest, mut scenarios) = (HardestSearch::default(), 0);
         let (mut dropped, mut left_out) = (Vec::new(), Vec::new());
         load_parts(path, map, progress, &mut |mut part| {
             merge_dropped(&mut dropped, std::mem::take(&mut part.dropped));
             hardest.add(&part);
             let number = numbers.entry(prefix(&part)).or_insert(0);
-            left_out.extend(imported.add_part(&part, options, number)?);
+            let mut take = |scenario| {
+                scenarios += 1;
+                goes_on = take(scenario);
+                goes_on
+            };
+            left_out.extend(import_part(&part, options, number, &mut take)?);
             source = Some(ImportedRecording {
                 path: path.clone(),
                 format: part.format,
                 text: part.text,
-                scenarios: imported.scenarios.len() - before,
+                scenarios,
                 hardest: HardestBrakingResult::NoSpeed,
             });
-            Ok(true)
+            Ok(goes_on)
         })?;
         imported.dropped.extend(dropped.into_iter().chain(left_out));
         let hardest = hardest.finish();
         imported.sources.extend(source.map(|source| ImportedRecording { hardest, ..source }));
+        if !goes_on {
+            break;
+        }
     }
     Ok(imported)
 }
 
-impl ImportResult {
-    /// Adds the scenarios of a part of a recording. Returns the episodes without scenario.
-    fn add_part(
-        &mut self,
-        recording: &Recording,
-        options: &ImportOptions,
-        number: &mut usize,
-    ) -> Result<Vec<DroppedItem>, RecordingError> {
-        let FoundEpisodes { episodes, mut dropped } = find_episodes(recording, options.min_brake, options.leaders);
-        let file = recording.path.file_name().unwrap_or_default().to_string_lossy();
-        for episode in &episodes {
-            let name = format!("{}-{:02}", prefix(recording), *number + 1);
-            match episode.scenario(name.clone(), &file) {
-                Ok(scenario) => {
-                    *number += 1;
-                    let file_name = format!("{name}.toml");
-                    let path = || recording.path.clone();
-                    let toml =
-                        to_toml(&scenario).map_err(|source| RecordingError::Render { path: path(), name, source })?;
-                    self.scenarios.push(ImportedScenario { file_name, toml, scenario });
-                }
-                Err(invalid) => {
-                    let number = episode.vehicles.first().map_or(0, |leader| leader.number);
-                    let onset_s = episode.start_s + episode.onset_s;
-                    let what = Omission::Episode { number, onset_s, reason: EpisodeProblem::Invalid(invalid) };
-                    dropped.push(DroppedItem { path: recording.path.clone(), line: episode.line, omission: what });
+/// Passes on the scenarios of a part of a recording. Returns the episodes without scenario.
+fn import_part(
+    recording: &Recording,
+    options: &ImportOptions,
+    number: &mut usize,
+    take: &mut dyn FnMut(ImportedScenario) -> bool,
+) -> Result<Vec<DroppedItem>, RecordingError> {
+    let FoundEpisodes { episodes, mut dropped } = find_episodes(recording, options.min_brake, options.leaders);
+    let file = recording.path.file_name().unwrap_or_default().to_string_lossy();
+    for episode in &episodes {
+        let name = format!("{}-{:02}", prefix(recording), *number + 1);
+        match episode.scenario(name.clone(), &file) {
+            Ok(scenario) => {
+                *number += 1;
+                let file_name = format!("{name}.toml");
+                let path = || recording.path.clone();
+                let toml =
+                    to_toml(&scenario).map_err(|source| RecordingError::Render { path: path(), name, source })?;
+                if !take(ImportedScenario { file_name, toml, scenario }) {
+                    break;
                 }
             }
+            Err(invalid) => {
+                let number = episode.vehicles.first().map_or(0, |leader| leader.number);
+                let onset_s = episode.start_s + episode.onset_s;
+                let what = Omission::Episode { number, onset_s, reason: EpisodeProblem::Invalid(invalid) };
+                dropped.push(DroppedItem { path: recording.path.clone(), line: episode.line, omission: what });
+            }
         }
-        Ok(dropped)
     }
+    Ok(dropped)
 }
 
 /// Returns format and file name in lower-case letters, digits and single hyphens, without repeating the format.

@@ -3,7 +3,7 @@ use std::path::{Path, PathBuf};
 
 use super::map::RecordingMap;
 use super::parts::{MAX_POINTS, PART_ROWS};
-use super::{DroppedItem, ImportOptions, ImportResult, import, load_parts};
+use super::{DroppedItem, ImportOptions, ImportResult, ImportedScenario, import, load_parts};
 
 /// Speeds in m/s of a leader that brakes by 6 m/s each two minutes.
 fn leader_mps(at_s: f64) -> f64 {
@@ -71,7 +71,7 @@ fn tracks_map() -> RecordingMap {
     RecordingMap::from_toml(map, Path::new("t.toml")).unwrap()
 }
 
-fn imported(text: &str, map: Option<&RecordingMap>) -> (usize, ImportResult) {
+fn imported(text: &str, map: Option<&RecordingMap>) -> (usize, Vec<ImportedScenario>, ImportResult) {
     let folder = tempfile::tempdir().unwrap();
     let path: PathBuf = folder.path().join("long.csv");
     std::fs::write(&path, text).unwrap();
@@ -81,7 +81,13 @@ fn imported(text: &str, map: Option<&RecordingMap>) -> (usize, ImportResult) {
         Ok(true)
     })
     .unwrap();
-    (parts, import(&[path], map, &ImportOptions::default(), None).unwrap())
+    let mut scenarios = Vec::new();
+    let mut take = |scenario| {
+        scenarios.push(scenario);
+        true
+    };
+    let result = import(&[path], map, &ImportOptions::default(), None, &mut take).unwrap();
+    (parts, scenarios, result)
 }
 
 /// Every braking of a recording of several parts makes one scenario, with the same speeds everywhere.
@@ -96,12 +102,12 @@ fn episodes_of_long_recordings_are_those_of_short_ones() {
         (pairs(minutes), None, 1),
         (platoon(minutes), None, 1),
     ] {
-        let (parts, result) = imported(&text, map);
+        let (parts, scenarios, result) = imported(&text, map);
         let rows = text.lines().count();
         assert!((2..=4).contains(&parts), "{parts} parts of {rows} rows");
         let periods = if text.starts_with("time") { minutes / 2 } else { minutes } / 2;
-        assert_eq!(result.scenarios.len(), per_period * periods, "{:?}", result.dropped);
-        let duration_s: Vec<f64> = result.scenarios.iter().map(|one| one.scenario.spec().duration_s).collect();
+        assert_eq!(scenarios.len(), per_period * periods, "{:?}", result.dropped);
+        let duration_s: Vec<f64> = scenarios.iter().map(|one| one.scenario.spec().duration_s).collect();
         assert!(duration_s.iter().all(|one| (one - duration_s[0]).abs() < 0.2), "{duration_s:?}");
         let dropped = result.dropped.iter().map(DroppedItem::to_string);
         let dropped: Vec<_> = dropped.filter(|text| !text.contains("no vehicle is recorded behind it")).collect();

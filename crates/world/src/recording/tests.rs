@@ -224,7 +224,7 @@ fn time_stamps_need_no_unit() {
 }
 
 #[test]
-fn an_import_is_all_or_nothing_and_its_names_are_distinct() {
+fn names_of_imported_scenarios_are_distinct_and_errors_end_the_import() {
     let dir = tempfile::tempdir().expect("temporary folder");
     let other = dir.path().join("other");
     std::fs::create_dir(&other).expect("temporary folder");
@@ -232,15 +232,27 @@ fn an_import_is_all_or_nothing_and_its_names_are_distinct() {
     for path in &paths {
         std::fs::write(path, braking_platoon(3)).expect("temporary file");
     }
-    let imported = import(&paths, None, &ImportOptions::default(), None).expect("both readable");
-    let names: Vec<_> = imported.scenarios.iter().map(|s| s.file_name.as_str()).collect();
+    let mut scenarios = Vec::new();
+    let mut take = |scenario| {
+        scenarios.push(scenario);
+        true
+    };
+    import(&paths, None, &ImportOptions::default(), None, &mut take).expect("both readable");
+    let names: Vec<_> = scenarios.iter().map(|s| s.file_name.as_str()).collect();
     assert_eq!(names, ["openacc-long-setting-16-01.toml", "openacc-long-setting-16-02.toml"]);
-    for imported in &imported.scenarios {
+    for imported in &scenarios {
         let read_back = crate::scenario::file::from_toml(&imported.toml, Path::new(&imported.file_name));
         assert_eq!(read_back.expect("valid"), imported.scenario);
     }
     let with_missing = [paths[0].clone(), dir.path().join("gone.csv")];
-    assert!(import(&with_missing, None, &ImportOptions::default(), None).is_err());
+    assert!(import(&with_missing, None, &ImportOptions::default(), None, &mut |_| true).is_err());
+    let mut taken = 0;
+    let mut take_one = |_| {
+        taken += 1;
+        false
+    };
+    let ended = import(&paths, None, &ImportOptions::default(), None, &mut take_one).expect("readable");
+    assert_eq!((taken, ended.sources.len()), (1, 1));
     for wrong in [0.0, -1.0, 12.1, f64::NAN, f64::INFINITY] {
         assert!(MinBrake::new(wrong).is_err());
     }
