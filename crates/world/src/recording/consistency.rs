@@ -30,18 +30,10 @@ const RATIO_ERRORS: f64 = 4.0;
 const RATIO_TOLERANCE: f64 = 0.03;
 
 /// Intervals of frames in seconds, by their rate.
+#[rustfmt::skip]
 const FRAME_INTERVALS_S: &[(&str, f64)] = &[
-    ("5 Hz", 1.0 / 5.0),
-    ("10 Hz", 1.0 / 10.0),
-    ("12.5 Hz", 1.0 / 12.5),
-    ("15 Hz", 1.0 / 15.0),
-    ("20 Hz", 1.0 / 20.0),
-    ("24 Hz", 1.0 / 24.0),
-    ("25 Hz", 1.0 / 25.0),
-    ("30 Hz", 1.0 / 30.0),
-    ("50 Hz", 1.0 / 50.0),
-    ("60 Hz", 1.0 / 60.0),
-    ("100 Hz", 1.0 / 100.0),
+    ("5 Hz", 1.0 / 5.0), ("10 Hz", 1.0 / 10.0), ("12.5 Hz", 1.0 / 12.5), ("15 Hz", 1.0 / 15.0), ("20 Hz", 1.0 / 20.0),
+    ("24 Hz", 1.0 / 24.0), ("25 Hz", 1.0 / 25.0), ("30 Hz", 1.0 / 30.0), ("50 Hz", 1.0 / 50.0), ("60 Hz", 1.0 / 60.0),
 ];
 
 /// Two columns, or sums of columns, whose values exclude each other.

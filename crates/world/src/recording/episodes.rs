@@ -2,7 +2,7 @@
 
 use std::cmp::Reverse;
 
-use super::dropped::{DroppedItem, EpisodeProblem, Omission};
+use super::dropped::{CHECK_UNIT, DroppedItem, EpisodeProblem, Omission, format_fixed};
 use super::episode::BrakingEpisode;
 use super::error::RecordingError;
 use super::lead_vehicles::{LeadVehicle, VehicleAhead};
@@ -120,9 +120,9 @@ impl EpisodeWindow<'_> {
         match self.build_episode(start) {
             Ok(episode) => {
                 if episode.largest_drop_mps > MAX_USUAL_BRAKE_MPS2 {
-                    let subject = format!("the braking of vehicle {number} at {onset_s} s");
-                    let found_mps2 = episode.largest_drop_mps;
-                    found.dropped.push(item(Omission::Unusual { subject, found: found_mps2, unit: "m/s²" }));
+                    let found_mps2 = format_fixed(episode.largest_drop_mps, 1);
+                    let unusual = format!("vehicle {number} brakes by {found_mps2} m/s² at {onset_s} s: {CHECK_UNIT}");
+                    found.dropped.push(item(Omission::Note(unusual)));
                 }
                 found.episodes.push(episode);
             }

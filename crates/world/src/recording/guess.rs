@@ -2,7 +2,7 @@
 
 use std::path::Path;
 
-use super::dropped::Omission;
+use super::dropped::{Omission, SPEEDS_LEFT_OUT};
 use super::error::RecordingError;
 use super::load::load_first_rows;
 use super::map::{
@@ -13,52 +13,17 @@ use super::map::{
 use super::{LineProblem, Recording, binary};
 
 /// Words in the names of columns, in lower case.
-const TIMES: &[&str] = &["time", "timestamp", "t", "zeit", "sec", "seconds"];
-const SPACINGS: &[&str] =
-    &["gap", "spacing", "distance", "dist", "range", "clearance", "headway", "abstand", "d", "dx"];
-const RELATIVE: &[&str] = &["rel", "relative", "relativ", "closing", "rangerate", "dv", "deltav", "vrel", "differenz"];
-const SPEEDS: &[&str] = &[
-    "speed",
-    "velocity",
-    "vel",
-    "v",
-    "geschwindigkeit",
-    "mps",
-    "kmh",
-    "kph",
-    "mph",
-    "xvelocity",
-    "vego",
-    "vl",
-    "vf",
-    "vlead",
-    "vrel",
-    "tempo",
-];
-const LEADERS: &[&str] = &[
-    "lead",
-    "leader",
-    "target",
-    "front",
-    "preceding",
-    "ahead",
-    "object",
-    "obj",
-    "tgt",
-    "vl",
-    "vlead",
-    "vorn",
-    "vorne",
-    "voraus",
-    "vorausfahrend",
-    "ziel",
-    "objekt",
-];
-const VEHICLES: &[&str] = &["id", "vehicle", "track", "trackid", "vehicleid", "fahrzeug"];
-const EVENTS: &[&str] = &["event", "eventid", "episode", "episodeid"];
-const LANES: &[&str] = &["lane", "laneid", "spur", "fahrstreifen"];
-const POSITIONS: &[&str] = &["x", "y", "pos", "position", "s", "station", "localy"];
-const LENGTHS: &[&str] = &["length", "len"];
+const TIMES: &str = "time timestamp t zeit sec seconds";
+const SPACINGS: &str = "gap spacing distance dist range clearance headway abstand d dx";
+const RELATIVE: &str = "rel relative relativ closing rangerate dv deltav vrel differenz";
+const SPEEDS: &str = "speed velocity vel v geschwindigkeit mps kmh kph mph xvelocity vego vl vf vlead vrel tempo";
+const LEADERS: &str = "lead leader target front preceding ahead object obj tgt vl vlead vorn vorne voraus vorausfahrend \
+    ziel objekt";
+const VEHICLES: &str = "id vehicle track trackid vehicleid fahrzeug";
+const EVENTS: &str = "event eventid episode episodeid";
+const LANES: &str = "lane laneid spur fahrstreifen";
+const POSITIONS: &str = "x y pos position s station localy";
+const LENGTHS: &str = "length len";
 
 /// A map that fits a recording.
 #[derive(Debug)]
@@ -76,15 +41,15 @@ struct Columns(Vec<(String, Vec<String>)>);
 
 impl Columns {
     /// Returns the first column with one of the words, and with none of `without`.
-    fn find(&self, words: &[&str], without: &[&[&str]]) -> Option<&String> {
+    fn find(&self, words: &str, without: &[&str]) -> Option<&String> {
         self.find_both(words, words, without)
     }
 
-    fn find_both(&self, words: &[&str], others: &[&str], without: &[&[&str]]) -> Option<&String> {
+    fn find_both(&self, words: &str, others: &str, without: &[&str]) -> Option<&String> {
         let fits = |(_, found): &&(String, Vec<String>)| {
             // Long words are also found within compounds.
             let is = |word: &str, wanted: &str| word == wanted || wanted.len() > 5 && word.contains(wanted);
-            let has = |words: &[&str]| found.iter().any(|word| words.iter().any(|wanted| is(word, wanted)));
+            let has = |words: &str| found.iter().any(|word| words.split(' ').any(|wanted| is(word, wanted)));
             has(words) && has(others) && !without.iter().any(|not| has(not))
         };
         self.0.iter().find(fits).map(|(name, _)| name)
@@ -220,7 +185,8 @@ pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
         match load_first_rows(path, &checked) {
             Ok(recording) => {
                 let contradicts = |what: &Omission| {
-                    matches!(what, Omission::ColumnsContradict(_) | Omission::SpeedsContradict { .. })
+                    matches!(what, Omission::ColumnsContradict(_))
+                        || matches!(what, Omission::Counted { after, .. } if after.ends_with(SPEEDS_LEFT_OUT))
                 };
                 let is_consistent = !recording.dropped.iter().any(|dropped| contradicts(&dropped.omission));
                 let draft = MapDraft { map, built_in: None, recording };

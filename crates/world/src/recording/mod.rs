@@ -73,7 +73,7 @@ pub use error::{BinaryProblem, ColumnProblem, LineProblem, RecordingError};
 pub use exposure::{FollowingExposure, braking_clusters, following_exposure};
 pub use import::{ImportOptions, ImportResult, ImportedRecording, ImportedScenario, import};
 pub use lead_vehicles::VehicleAhead;
-pub use load::{ReadProgress, load, load_first_part, load_parts, read, read_bytes};
+pub use load::{ReadProgress, load, load_first_part, load_parts, read};
 
 use lead_vehicles::{LeadVehicle, PlatoonLead};
 use map::RecordingMapSpec;
@@ -81,6 +81,11 @@ pub use parts::{PartSink, merge_dropped};
 pub use preview::{HardestBraking, HardestBrakingResult, HardestSearch, Preview, SpeedLine, hardest_braking, preview};
 pub use text::TextFormat;
 pub use tracks::RecordedTraffic;
+
+/// True if this build reads ASAM MDF 4.
+pub const READS_MDF: bool = cfg!(feature = "mdf");
+/// True if this build reads Parquet.
+pub const READS_PARQUET: bool = cfg!(feature = "parquet");
 
 /// Largest plausible acceleration, in m/s²; larger values are measurement errors. Tyres on a dry road give little more
 /// than 1 g.

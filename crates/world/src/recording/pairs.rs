@@ -10,7 +10,7 @@ use std::{iter, mem};
 
 use super::acceleration::AccelerationCheck;
 use super::consistency::Comparison;
-use super::dropped::{DroppedItem, Omission};
+use super::dropped::{DroppedItem, Omission, SPEEDS_LEFT_OUT, format_fixed};
 use super::error::{ColumnProblem, RecordingError};
 use super::map::{LengthUnit, PairsSpec, RecordingMapSpec, Sign, SpeedSpec, SpeedUnit};
 use super::parts::{PART_ROWS, PartBounds, PartSink};
@@ -208,8 +208,9 @@ impl<'m> EventReader<'m> {
                 }
                 let name = |series: &Option<Series>| series.as_ref().map_or("", |one| &one.column.name).to_owned();
                 let difference = format!("{} - {}", name(&self.leader), name(&self.follower));
-                let what =
-                    Omission::SpeedsContradict { column: name(&self.relative), difference, count: 0, first_error_mps };
+                let (relative, error_mps) = (name(&self.relative), format_fixed(first_error_mps, 3));
+                let after = format!(" rows, the first one here (by {error_mps} m/s){SPEEDS_LEFT_OUT}");
+                let what = Omission::counted(format!("{relative}: differs from {difference} in "), 0, after);
                 row.count(&mut self.contradictions, || what);
                 (None, None)
             }
@@ -265,8 +266,7 @@ impl<'m> EventReader<'m> {
         let item = |line, omission| DroppedItem { path: table.path().to_owned(), line, omission };
         let columns = ["spacings", "the follower's speed", "the leader's speed"];
         for (column, found) in columns.into_iter().zip(mem::take(&mut self.interpolated)) {
-            let omission = |count| Omission::Interpolated { column: column.to_owned(), count };
-            dropped.extend(found.map(|(line, count)| item(line, omission(count))));
+            dropped.extend(found.map(|(line, count)| item(line, Omission::interpolated(column, count))));
         }
         self.check(table, &mut dropped)?;
         let accelerations = self.accelerations.iter_mut().flatten();

@@ -143,9 +143,9 @@ impl PlatoonSamples<'_> {
         let mut filled = |series: &Series| {
             let mut values = series.values.clone();
             if let Some((count, first)) = interpolate_holes(&mut values, time_s, map.interpolate_s) {
-                let (path, column) = (table.path().to_owned(), series.column.name.clone());
-                let line = line.get(first).copied().unwrap_or(0);
-                dropped.push(DroppedItem { path, line, omission: Omission::Interpolated { column, count } });
+                let (path, line) = (table.path().to_owned(), line.get(first).copied().unwrap_or(0));
+                let omission = Omission::interpolated(&series.column.name, count);
+                dropped.push(DroppedItem { path, line, omission });
             }
             values
         };

@@ -2,11 +2,12 @@
 
 use std::path::Path;
 
-use super::dropped::{DroppedItem, Omission};
+use super::dropped::{CHECK_UNIT, DroppedItem, Omission, format_fixed};
 use super::error::{ColumnProblem, RecordingError};
 use super::map::{ClockSpec, TimeSpec};
 use super::number::parse_iso_s;
 use super::table::{CsvColumn, CsvRow, excerpt};
+use crate::scenario::format_compact;
 
 /// Largest magnitude of a time, in seconds; still exact to a millisecond.
 const MAX_TIME_S: f64 = 1e10;
@@ -128,8 +129,8 @@ impl Clock {
     /// Returns whether a row's time is so far before the last that another recording begins, and counts such places.
     pub(super) fn starts_anew(&mut self, row: &CsvRow<'_>, found_s: f64) -> bool {
         let Some(before_s) = self.last_s.filter(|last_s| found_s < last_s - MIN_RESTART_S) else { return false };
-        let first = Omission::ClockRestarts { column: self.column.name.clone(), count: 0, before_s, found_s };
-        row.count(&mut self.restarts, || first);
+        let before = format!("{}: the time starts anew here ({found_s} s after {before_s} s); of ", self.column.name);
+        row.count(&mut self.restarts, || Omission::counted(before, 0, " such places each begins another recording"));
         true
     }
 
@@ -138,8 +139,15 @@ impl Clock {
         if let Some(before_s) = self.last_s
             && round_to_milli(found_s) <= round_to_milli(before_s)
         {
-            let first = Omission::NonIncreasingTime { column: self.column.name.clone(), count: 0, before_s, found_s };
-            row.count(&mut self.not_later, || first);
+            let after = " rows are not later than the row before and were left out, the first one here";
+            let first = || {
+                Omission::counted(
+                    format!("{}: ", self.column.name),
+                    0,
+                    format!("{after} ({found_s} s after {before_s} s)"),
+                )
+            };
+            row.count(&mut self.not_later, first);
             return false;
         }
         self.last_s = Some(found_s);
@@ -238,13 +246,17 @@ impl Series {
 
     /// Adds missing and impossible values to `dropped`.
     pub(super) fn report(&self, path: &Path, rows: usize, dropped: &mut Vec<DroppedItem>) {
-        let item = |line, omission| DroppedItem { path: path.to_owned(), line, omission };
-        let column = || self.column.name.clone();
-        dropped.extend(
-            self.missing.map(|(line, count)| item(line, Omission::MissingValues { column: column(), count, rows })),
-        );
-        let unusual = |(line, found)| item(line, Omission::Unusual { subject: column(), found, unit: "m/s" });
-        dropped.extend(self.unusual.map(unusual));
+        let column = &self.column.name;
+        let mut report = |line, note: String| {
+            let omission = Omission::Note(format!("{column}: {note}"));
+            dropped.push(DroppedItem { path: path.to_owned(), line, omission });
+        };
+        if let Some((line, count)) = self.missing {
+            report(line, format!("{count} of {rows} values are missing, the first one here"));
+        }
+        if let Some((line, found_mps)) = self.unusual {
+            report(line, format!("speeds up to {} m/s, {CHECK_UNIT}", format_fixed(found_mps, 1)));
+        }
         if let Some(ImpossibleValues { first_line, last_line, count, worst }) = self.impossible {
             let (what, unit) = match self.quantity {
                 ColumnQuantity::Gap => ("spacings", "m"),
@@ -252,8 +264,10 @@ impl Series {
                 _ => ("speeds", "m/s"),
             };
             let is_all = count + self.missing.map_or(0, |(_, missing)| missing) == rows;
-            let omission = Omission::ImpossibleValues { column: column(), what, unit, count, last_line, worst, is_all };
-            dropped.push(item(first_line, omission));
+            let all = if is_all { ", and no possible one: its sign or unit is probably wrong" } else { "" };
+            let worst = format_compact(worst);
+            let place = format!("the first one here, the last one on line {last_line}, the worst {worst} {unit}");
+            report(first_line, format!("{count} impossible {what}, {place}{all}"));
         }
     }
 }

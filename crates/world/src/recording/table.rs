@@ -126,7 +126,9 @@ impl<'a> RowReader<'a> {
 
     /// Rejects a recording without samples, and reports a row that the end of the file cuts off.
     pub(super) fn check_samples(&self, rows: usize, dropped: &mut Vec<DroppedItem>) -> Result<(), RecordingError> {
-        dropped.extend(self.row.is_cut.then(|| self.row.dropped_item(Omission::CutRow)));
+        dropped.extend(self.row.is_cut.then(|| {
+            self.row.dropped_item(Omission::Note("the file ends within this line, so it was left out".to_owned()))
+        }));
         if rows == 0 { self.reject_cut_short("its first sample") } else { Ok(()) }
     }
 
@@ -223,7 +225,7 @@ impl<'a> CsvRow<'a> {
     /// Counts an omission whose first occurrence, with count 0, is `first`.
     pub(super) fn count(&self, found: &mut Option<DroppedItem>, first: impl FnOnce() -> Omission) {
         let item = found.get_or_insert_with(|| self.dropped_item(first()));
-        item.omission.count().into_iter().for_each(|count| *count += 1);
+        item.omission.add(1);
     }
 
     pub(super) fn dropped_item(&self, what: Omission) -> DroppedItem {

@@ -148,7 +148,8 @@ impl TrafficParts<'_, '_> {
         let item = |line, omission| DroppedItem { path: path.to_owned(), line, omission };
         if let Some((first, count)) = tracks::sort(&mut points) {
             let vehicle = tracks::label(&self.vehicles, first.vehicle);
-            dropped.push(item(first.line, Omission::DuplicateRows { vehicle, count }));
+            let before = format!("vehicle {vehicle} is in two places at once here; of ");
+            dropped.push(item(first.line, Omission::counted(before, count, " such rows each first one is kept")));
         }
         let rules = TrackRules {
             vehicle_column: &spec.vehicle,

@@ -1,6 +1,5 @@
 //! Lane ids that hold only briefly, and the direction of travel of each lane.
 
-use std::cmp::Reverse;
 use std::collections::BTreeMap;
 
 use super::split::{DirectionVotes, track_votes};
@@ -10,8 +9,8 @@ use super::{ReferencePoint, TrackPoint};
 const MIN_SIGNED_SPEED_MPS: f64 = 0.1;
 
 /// Replaces lane ids that a track has for less than `shortest_ms` by the lane before; at the start of a track by the
-/// lane after. A track that has no lane for that long gets the lane of most of its rows. Returns the first replaced
-/// point and the number of replaced intervals.
+/// lane after. A track that has no lane for that long gets the lane of two thirds of its rows, if there is one. Returns
+/// the first replaced point and the number of replaced intervals.
 pub(super) fn remove_blips(points: &mut [TrackPoint], shortest_ms: i64) -> Option<(TrackPoint, usize)> {
     let mut found: Option<(TrackPoint, usize)> = None;
     for track in points.chunk_by_mut(|a, b| a.track == b.track) {
@@ -33,10 +32,11 @@ pub(super) fn remove_blips(points: &mut [TrackPoint], shortest_ms: i64) -> Optio
     found
 }
 
+/// Returns the lane of at least two thirds of the rows.
 fn most_common_lane(track: &[TrackPoint]) -> Option<u32> {
     let mut rows: BTreeMap<u32, usize> = BTreeMap::new();
     track.iter().for_each(|point| *rows.entry(point.lane).or_default() += 1);
-    rows.into_iter().max_by_key(|&(lane, rows)| (rows, Reverse(lane))).map(|(lane, _)| lane)
+    rows.into_iter().find(|(_, rows)| 3 * rows >= 2 * track.len()).map(|(lane, _)| lane)
 }
 
 /// Returns for each point whether the track has its lane for at least `shortest_ms` around it.

@@ -67,7 +67,7 @@ impl Absence {
 /// Links each point with its leader and follower. A vehicle with unknown position may be anywhere in its lane, so no
 /// point of that lane at that time is linked. A vehicle with unknown length is not linked. No points are linked if a
 /// vehicle that has rows before and after may be between them.
-pub(super) fn link(points: &mut [TrackPoint]) -> LinkProblems {
+pub(super) fn link(points: &mut [TrackPoint], blip_ms: i64) -> LinkProblems {
     let row = |point: &TrackPoint| (point.time_ms, point.lane, point.position_decreases);
     let (mut unknown_position, mut unlinkable): (Occurrences, _) = (None, BTreeSet::new());
     for point in points.iter().filter(|point| point.position_m.is_none() || point.length_m.is_none()) {
@@ -80,7 +80,7 @@ pub(super) fn link(points: &mut [TrackPoint]) -> LinkProblems {
         }
     }
     let order = order_rows(points);
-    let mut to_come = absences(points, &order).into_iter().enumerate().peekable();
+    let mut to_come = absences(points, &order, blip_ms).into_iter().enumerate().peekable();
     // By the end of the absence.
     let mut absent_now: BTreeMap<(i64, usize), Absence> = BTreeMap::new();
     let (mut overlapping, mut absent) = (None, None);
@@ -135,8 +135,9 @@ fn order_rows(points: &[TrackPoint]) -> Vec<u128> {
     order
 }
 
-/// Returns the absences during which other vehicles have rows, in order of their starts.
-fn absences(points: &[TrackPoint], order: &[u128]) -> Vec<Absence> {
+/// Returns the absences during which other vehicles have rows, in order of their starts. A vehicle is also absent from
+/// a lane that it leaves for at most `blip_ms`.
+fn absences(points: &[TrackPoint], order: &[u128], blip_ms: i64) -> Vec<Absence> {
     let mut instants: Vec<u64> = order.iter().map(|key| (key >> 64) as u64).collect();
     instants.dedup();
     let mut absences = Vec::new();
@@ -144,7 +145,13 @@ fn absences(points: &[TrackPoint], order: &[u128]) -> Vec<Absence> {
         let mut known = track.iter().filter(|point| point.position_m.is_some());
         let Some(mut a) = known.next() else { continue };
         let mut next = instants.partition_point(|&instant| instant <= sortable(a.time_ms));
+        let mut left: BTreeMap<u32, &TrackPoint> = BTreeMap::new();
         for b in known {
+            if a.lane != b.lane {
+                left.insert(a.lane, a);
+                let before = left.get(&b.lane).filter(|before| b.time_ms - before.time_ms <= blip_ms);
+                absences.extend(before.map(|before| Absence::new(before, b)));
+            }
             if instants.get(next).is_some_and(|&instant| instant < sortable(b.time_ms)) {
                 absences.push(Absence::new(a, b));
             }
