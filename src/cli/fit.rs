@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::fmt::Write;
 use std::fs::{File, Metadata};
-use std::io::{self, BufRead, BufReader};
+use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use clap::{Args, value_parser};
@@ -107,16 +107,8 @@ pub(super) fn ensure_distinct(recordings: &[PathBuf]) -> Result<(), CliError> {
 }
 
 fn have_same_content(a: &Path, b: &Path) -> io::Result<bool> {
-    let [mut a, mut b] = [BufReader::new(File::open(a)?), BufReader::new(File::open(b)?)];
-    loop {
-        let (of_a, of_b) = (a.fill_buf()?, b.fill_buf()?);
-        let count = of_a.len().min(of_b.len());
-        if count == 0 || of_a[..count] != of_b[..count] {
-            return Ok(of_a.is_empty() && of_b.is_empty());
-        }
-        a.consume(count);
-        b.consume(count);
-    }
+    let bytes = |path: &Path| -> io::Result<_> { Ok(BufReader::new(File::open(path)?).bytes().map_while(Result::ok)) };
+    Ok(bytes(a)?.eq(bytes(b)?))
 }
 
 impl Fit {

@@ -128,7 +128,7 @@ impl ImportReport {
     fn new(imported: &ImportResult, scenarios: Vec<String>) -> Self {
         let one = |source: &ImportedRecording| RecordingImport {
             recording: source.path.display().to_string(),
-            format: source.format.name().to_owned(),
+            format: source.format.clone(),
             text: source.text.to_string(),
             scenarios: source.scenarios,
             hardest_braking: source.hardest.to_string(),
@@ -236,7 +236,7 @@ impl Import {
         if self.format == OutputFormat::Json {
             return output::print_json(&RecordingSummary {
                 recording: &name,
-                format: recording.format.name(),
+                format: &recording.format,
                 text: recording.text.to_string(),
                 leads: seen.lead_vehicles,
                 samples: seen.samples,
@@ -256,7 +256,7 @@ impl Import {
             speed_mps: [slow, typical, fast],
             ..
         } = seen;
-        let mut text = format!("{}: {}\n", TerminalText(&name), recording.format.name());
+        let mut text = format!("{}: {}\n", TerminalText(&name), recording.format);
         let each = step_s.map_or("one of each vehicle".to_owned(), |step_s| format!("one each {step_s:.3} s"));
         text +=
             &format!("  {leads} vehicles that may lead, {samples} samples, from {from_s:.2} to {to_s:.2} s, {each}\n");
@@ -326,7 +326,7 @@ impl Import {
         }
         let line = |source: &ImportedRecording| {
             let plural = if source.scenarios == 1 { "" } else { "s" };
-            let (path, format) = (source.path.display().to_string(), source.format.name());
+            let (path, format) = (source.path.display().to_string(), &source.format);
             format!("{}: {} scenario{plural} ({format})\n", TerminalText(&path), source.scenarios)
         };
         let words = || imported.sources.iter().map(line).collect();

@@ -5,12 +5,9 @@ use std::path::Path;
 
 use proptest::prelude::*;
 
-use super::error::BinaryProblem;
 use super::map::RecordingMap;
 use super::motion_tests::{PlatoonMotion, any_motion};
-use super::table::{BinaryRows, CsvColumn, RowReader};
 use super::tests::read_text;
-use super::text_rows::Fields;
 use super::*;
 
 /// Tracks of vehicles that drive towards smaller positions, in feet, kilometres per hour and frames.
@@ -93,29 +90,6 @@ fn as_pairs(motion: &PlatoonMotion) -> String {
         let _ = writeln!(text, "{}\t{follower}\t{}\t{range_ft}", 480_000 + 100 * k, follower - leader);
     }
     text
-}
-
-/// Files other than text may state units; those of the map take precedence.
-#[test]
-fn units_in_the_file_hold_unless_the_map_states_them() {
-    struct NoRows;
-    impl BinaryRows for NoRows {
-        fn next_row(&mut self, _: &mut Fields, _: &mut Vec<f64>) -> Result<bool, BinaryProblem> {
-            Ok(false)
-        }
-    }
-    for (in_file, in_map, expected) in [
-        ("km/h", None, Some(1.0 / 3.6)),
-        ("km/h", Some(1.0), Some(1.0)),
-        ("m/s²", None, Some(1.0)),
-        ("", None, Some(1.0)),
-        ("furlong", None, None),
-    ] {
-        let named = ([" v"].into_iter().collect(), [in_file].into_iter().collect());
-        let names = RowReader::from_binary(Box::new(NoRows), named, Path::new("a.mf4")).next_header();
-        let column = CsvColumn::find(&names.expect("readable").expect("names"), "v", in_map);
-        assert_eq!(column.map(|column| column.factor).ok(), expected, "{in_file}");
-    }
 }
 
 proptest! {

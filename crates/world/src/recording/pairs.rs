@@ -15,9 +15,9 @@ use super::error::{ColumnProblem, RecordingError};
 use super::map::{LengthUnit, PairsSpec, RecordingMapSpec, Sign, SpeedSpec, SpeedUnit};
 use super::parts::{PART_ROWS, PartBounds, PartSink};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
-use super::table::{CsvColumn, CsvRow, RowCounter, RowReader, excerpt};
+use super::table::{CsvColumn, CsvRow, RowReader, excerpt};
 use super::target_switches::PairSamples;
-use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat, TextFormat};
+use super::{RecordedPlatoon, RecordedVehicle, Recording, TextFormat};
 
 /// Largest contradiction of the three speeds due to rounding and filtering, in m/s.
 const SPEED_TOLERANCE_MPS: f64 = 0.1;
@@ -32,9 +32,7 @@ pub(super) fn read(
     each: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
     let mut events = EventReader::new((map, pairs), names)?;
-    let mut counter = RowCounter::new(&names.fields);
-    while let Some(row) = table.next_row()? {
-        counter.check_row(row)?;
+    while let Some(row) = table.next_sample(&names.fields)? {
         events.read_row(row)?;
         if events.finished_rows > PART_ROWS {
             let part = events.part(table, Vec::new())?;
@@ -44,12 +42,12 @@ pub(super) fn read(
         }
     }
     let mut dropped = Vec::new();
-    table.check_samples(counter.rows, &mut dropped)?;
+    table.check_samples(&mut dropped)?;
     events.finish_event();
     let speeds = [&events.follower, &events.relative, &events.leader].into_iter().flatten();
     let accelerations = events.accelerations.iter().flatten().map(|acceleration| &acceleration.series);
     for series in iter::once(&events.gap).chain(speeds).chain(accelerations) {
-        series.report(table.path(), counter.rows, &mut dropped);
+        series.report(table.path(), table.samples, &mut dropped);
     }
     let mut last = events.part(table, dropped)?;
     events.clock.report(&mut last.dropped);
@@ -275,7 +273,7 @@ impl<'m> EventReader<'m> {
         dropped.extend(self.switches.take().map(|(line, omission)| item(line, omission)));
         Ok(Recording {
             path: table.path().to_owned(),
-            format: RecordingFormat::from_map(self.spec.0),
+            format: self.spec.0.name.clone(),
             text: TextFormat { time: self.clock.detected(), ..table.format() },
             platoons: mem::take(&mut self.platoons),
             traffic: None,

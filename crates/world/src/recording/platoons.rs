@@ -20,9 +20,9 @@ use super::map::{LengthUnit, PlatoonSpec, RecordingMapSpec};
 use super::parts::{PartBounds, PartSink};
 use super::platoon_columns::{PlatoonColumns, PlatoonHeader};
 use super::series::{ColumnQuantity, Series, interpolate_holes};
-use super::table::{CsvColumn, CsvRow, RowCounter, RowReader};
+use super::table::{CsvColumn, CsvRow, RowReader};
 use super::text_rows::Fields;
-use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat, TextFormat};
+use super::{RecordedPlatoon, RecordedVehicle, Recording, TextFormat};
 
 /// Reads the rows after the column names, with the header lines.
 pub(super) fn read(
@@ -50,10 +50,8 @@ pub(super) fn read(
         line: Vec::new(),
     };
     let (mut clock, speeds) = (layout.time, &layout.speeds);
-    let mut counter = RowCounter::new(&names.fields);
     let mut bounds = PartBounds::new(2 * speeds.len());
-    while let Some(row) = table.next_row()? {
-        counter.check_row(row)?;
+    while let Some(row) = table.next_sample(&names.fields)? {
         let now_s = clock.read(row)?;
         if !clock.advance(row, now_s) {
             continue;
@@ -81,12 +79,12 @@ pub(super) fn read(
             series.values.push(value);
         }
     }
-    table.check_samples(counter.rows, &mut dropped)?;
+    table.check_samples(&mut dropped)?;
     let text = TextFormat { time: clock.detected(), ..table.format() };
     let time_factor = clock.column.factor;
     clock.report(&mut dropped);
     for series in samples.speeds.values().chain(samples.gaps.values()) {
-        series.report(table.path(), counter.rows, &mut dropped);
+        series.report(table.path(), table.samples, &mut dropped);
     }
     let core_ms = bounds.next().0;
     each(samples.part(table, (&lines_of_vehicles, speeds), (core_ms, time_factor, text), dropped)?)?;
@@ -167,7 +165,7 @@ impl PlatoonSamples<'_> {
         }
         Ok(Recording {
             path: table.path().to_owned(),
-            format: RecordingFormat::from_map(map),
+            format: map.name.clone(),
             text,
             platoons,
             traffic: None,

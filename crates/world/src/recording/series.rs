@@ -1,5 +1,6 @@
 //! Columns under construction: increasing times, plausible values, and counts of all others.
 
+use std::mem;
 use std::path::Path;
 
 use super::dropped::{CHECK_UNIT, DroppedItem, Omission, format_fixed};
@@ -43,11 +44,9 @@ pub(super) struct Clock {
 /// Format of the times of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ClockFormat {
-    /// The map states no unit, and no row is read.
-    Unknown,
     /// Numbers in the unit of the map.
     Stated,
-    /// Numbers in a detected unit.
+    /// Numbers in a detected unit, seconds before the first row.
     Unit(&'static str),
     Iso,
 }
@@ -56,7 +55,7 @@ impl Clock {
     pub(super) fn find(names: &CsvRow<'_>, time: &TimeSpec) -> Result<Self, RecordingError> {
         let (column, factor, format) = match time {
             TimeSpec::Clock(ClockSpec { column, unit: Some(unit) }) => (column, unit.factor(), ClockFormat::Stated),
-            TimeSpec::Clock(ClockSpec { column, unit: None }) => (column, 1.0, ClockFormat::Unknown),
+            TimeSpec::Clock(ClockSpec { column, unit: None }) => (column, 1.0, ClockFormat::Unit("s")),
             TimeSpec::Frames(frames) => (&frames.column, 1.0 / frames.rate_hz, ClockFormat::Stated),
         };
         Ok(Self {
@@ -78,13 +77,12 @@ impl Clock {
         }
     }
 
+    /// Detects the format by the first row.
     fn detect(&mut self, row: &CsvRow<'_>) -> Result<(), RecordingError> {
-        let text = row.text(self.column.index);
-        if text.is_empty() {
-            return Ok(());
-        }
-        if parse_iso_s(text).is_some() {
+        if parse_iso_s(row.text(self.column.index)).is_some() {
             self.format = ClockFormat::Iso;
+        }
+        if !matches!(self.format, ClockFormat::Unit(_)) {
             return Ok(());
         }
         // Times since 1970 are 1.7 x 10^9 s.
@@ -105,14 +103,10 @@ impl Clock {
     }
 
     pub(super) fn read(&mut self, row: &CsvRow<'_>) -> Result<f64, RecordingError> {
-        if self.format == ClockFormat::Unknown {
+        if mem::take(&mut self.is_first) {
             self.detect(row)?;
         }
         let text = row.text(self.column.index);
-        if self.format == ClockFormat::Stated && self.is_first && parse_iso_s(text).is_some() {
-            self.format = ClockFormat::Iso;
-        }
-        self.is_first = false;
         if self.format == ClockFormat::Iso && !text.is_empty() {
             let wrong = || row.reject(&self.column.name, ColumnProblem::NotATime { found: excerpt(text) });
             return parse_iso_s(text).map_or_else(wrong, Ok);

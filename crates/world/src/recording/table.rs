@@ -18,6 +18,8 @@ pub(super) struct RowReader<'a> {
     decimals: Option<(usize, bool)>,
     /// Number of rows until reading ends.
     pub(super) rows_left: usize,
+    /// Number of samples that were read.
+    pub(super) samples: usize,
 }
 
 enum RowSource<'a> {
@@ -39,7 +41,14 @@ impl<'a> RowReader<'a> {
     /// Reads rows whose columns have names and units.
     pub(super) fn from_binary(rows: Box<dyn BinaryRows + 'a>, names: (Fields, Fields), path: &'a Path) -> Self {
         let rows = RowSource::Binary { rows, names: Some(names) };
-        Self { path, rows, row: CsvRow::new(path, DecimalMark::Point), decimals: None, rows_left: usize::MAX }
+        Self {
+            path,
+            rows,
+            row: CsvRow::new(path, DecimalMark::Point),
+            decimals: None,
+            rows_left: usize::MAX,
+            samples: 0,
+        }
     }
 
     /// Detects the text format, as far as `map` does not state it.
@@ -56,7 +65,7 @@ impl<'a> RowReader<'a> {
         let rows = rows.map_err(|error| start.io_error(error))?;
         let decimal = rows.format().decimal;
         let (rows, row) = (RowSource::Text(Box::new(rows)), CsvRow::new(path, decimal));
-        Ok(Self { path, rows, row, decimals: None, rows_left: usize::MAX })
+        Ok(Self { path, rows, row, decimals: None, rows_left: usize::MAX, samples: 0 })
     }
 
     /// Returns the text format, with the encoding of what was read so far.
@@ -119,17 +128,31 @@ impl<'a> RowReader<'a> {
         }
     }
 
+    /// Returns the next row, which must have a field for each column; `None` at the end of the file.
+    pub(super) fn next_sample(&mut self, names: &Fields) -> Result<Option<&CsvRow<'a>>, RecordingError> {
+        if self.next_row()?.is_none() {
+            return Ok(None);
+        }
+        let (expected, found) = (names.len(), self.row.fields.len());
+        if found != expected {
+            let column = excerpt(names.get(found.min(expected.saturating_sub(1))).unwrap_or_default());
+            return self.row.reject(&column, ColumnProblem::FieldCount { expected, found });
+        }
+        self.samples += 1;
+        Ok(Some(&self.row))
+    }
+
     /// Returns the row that was read last.
     pub(super) fn row(&self) -> &CsvRow<'a> {
         &self.row
     }
 
     /// Rejects a recording without samples, and reports a row that the end of the file cuts off.
-    pub(super) fn check_samples(&self, rows: usize, dropped: &mut Vec<DroppedItem>) -> Result<(), RecordingError> {
+    pub(super) fn check_samples(&self, dropped: &mut Vec<DroppedItem>) -> Result<(), RecordingError> {
         dropped.extend(self.row.is_cut.then(|| {
             self.row.dropped_item(Omission::Note("the file ends within this line, so it was left out".to_owned()))
         }));
-        if rows == 0 { self.reject_cut_short("its first sample") } else { Ok(()) }
+        if self.samples == 0 { self.reject_cut_short("its first sample") } else { Ok(()) }
     }
 
     pub(super) fn reject_cut_short<T>(&self, expected: &'static str) -> Result<T, RecordingError> {
@@ -272,24 +295,23 @@ impl CsvColumn {
     }
 }
 
-/// Counts rows, and rejects those without a field for each column.
-pub(super) struct RowCounter<'h> {
-    names: &'h Fields,
-    pub(super) rows: usize,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-impl<'h> RowCounter<'h> {
-    pub(super) fn new(names: &'h Fields) -> Self {
-        Self { names, rows: 0 }
-    }
-
-    pub(super) fn check_row(&mut self, row: &CsvRow<'_>) -> Result<(), RecordingError> {
-        let (expected, found) = (self.names.len(), row.fields.len());
-        if found != expected {
-            let column = excerpt(self.names.get(found.min(expected.saturating_sub(1))).unwrap_or_default());
-            return row.reject(&column, ColumnProblem::FieldCount { expected, found });
+    #[test]
+    fn units_in_the_file_hold_unless_the_map_states_them() {
+        for (in_file, in_map, expected) in [
+            ("km/h", None, Some(1.0 / 3.6)),
+            ("km/h", Some(1.0), Some(1.0)),
+            ("m/s²", None, Some(1.0)),
+            ("", None, Some(1.0)),
+            ("furlong", None, None),
+        ] {
+            let (fields, units) = (["v"].into_iter().collect(), [in_file].into_iter().collect());
+            let names = CsvRow { fields, units, ..CsvRow::new(Path::new("a.mf4"), DecimalMark::Point) };
+            let column = CsvColumn::find(&names, "v", in_map);
+            assert_eq!(column.map(|column| column.factor).ok(), expected, "{in_file}");
         }
-        self.rows += 1;
-        Ok(())
     }
 }

@@ -12,9 +12,9 @@ use super::map::{LengthSpec, LengthUnit, RecordingMapSpec, SpeedUnit, TimeSpec, 
 use super::parts::{ALL_TIMES, MAX_POINTS, PART_ROWS, PartBounds, PartSink};
 use super::series::{Clock, ColumnQuantity, Series};
 use super::spill::SpilledPoints;
-use super::table::{CsvColumn, CsvRow, RowCounter, RowReader, excerpt, is_missing};
+use super::table::{CsvColumn, CsvRow, RowReader, excerpt, is_missing};
 use super::tracks::{self, TrackPoint, TrackRules, VehicleId};
-use super::{RecordedTraffic, Recording, RecordingFormat, TextFormat};
+use super::{RecordedTraffic, Recording, TextFormat};
 
 const MAX_LANES: usize = 10_000;
 /// Each takes about 200 bytes.
@@ -44,12 +44,10 @@ pub(super) fn read(
     };
     let mut acceleration = AccelerationCheck::find(names, &spec.speed)?;
     let (mut vehicles, mut lanes) = (TextIds::default(), TextIds::default());
-    let mut counter = RowCounter::new(&names.fields);
     let (mut points, mut spilled) = (Vec::new(), SpilledPoints::default());
     let path = table.path();
     let disk = |source| RecordingError::Spill { path: path.to_owned(), source };
-    while let Some(row) = table.next_row()? {
-        counter.check_row(row)?;
+    while let Some(row) = table.next_sample(&names.fields)? {
         let time_s = clock.read(row)?;
         // SUMO writes a row without values for a time without vehicles.
         if [vehicle.index, position.column.index, speed.column.index].iter().all(|&index| is_missing(row.text(index))) {
@@ -87,10 +85,10 @@ pub(super) fn read(
         }
     }
     let mut dropped = Vec::new();
-    table.check_samples(counter.rows, &mut dropped)?;
+    table.check_samples(&mut dropped)?;
     let accelerations = acceleration.as_ref().map(|one| &one.series);
     for series in [Some(&position), Some(&speed), length.as_ref(), accelerations].into_iter().flatten() {
-        series.report(path, counter.rows, &mut dropped);
+        series.report(path, table.samples, &mut dropped);
     }
     let time = (clock.column.factor, clock.detected());
     let (columns, vehicles) = ([position.column, speed.column], vehicles.into_vehicles().into());
@@ -177,7 +175,7 @@ impl TrafficParts<'_, '_> {
         dropped.extend(omissions.into_iter().map(|(line, omission)| item(line, omission)));
         Ok(Recording {
             path: path.to_owned(),
-            format: RecordingFormat::from_map(map),
+            format: map.name.clone(),
             text: TextFormat { time: self.time.1, ..table.format() },
             platoons: Vec::new(),
             traffic: Some(traffic),

@@ -17,9 +17,7 @@ macro_rules! units {
 
             /// Returns the size of the unit in metric units.
             pub(in crate::recording) fn factor(self) -> f64 {
-                match self {
-                    $(Self::$unit => $factor,)*
-                }
+                Self::ALL[self as usize].1
             }
         }
     };

@@ -151,26 +151,7 @@ impl RecordedTraffic {
             dropped.push((line, Omission::interpolated(&excerpt(rules.vehicle_column), count)));
         }
         lanes::orient(&mut points, rules.reference, rules.speeds_agree);
-        let problems = link::link(&mut points, to_ms(rules.lane_blip_s));
-        for (found, after) in [
-            (
-                problems.unknown_position,
-                " times the position or the length of a vehicle is not known, the first time here: no vehicle follows \
-                 it, or a vehicle beyond it, then",
-            ),
-            (
-                problems.absent,
-                " times a vehicle that has rows before and after may be between two others, the first time here: they \
-                 do not follow each other then",
-            ),
-            (
-                problems.overlapping,
-                " times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows no vehicle \
-                 then",
-            ),
-        ] {
-            dropped.extend(found.map(|(line, count)| (line, Omission::counted("", count, after))));
-        }
+        link::link(&mut points, to_ms(rules.lane_blip_s), dropped);
         Ok(Self { points, vehicles, core_ms })
     }
 }
