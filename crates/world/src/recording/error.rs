@@ -137,7 +137,8 @@ pub enum LineProblem {
     /// A first line of neither built-in format.
     #[error(
         "`{found}`: neither an OpenACC recording (which starts with `Date`) nor car-following events (which start with \
-        `event,time_s,gap_m,...`); any other format needs a map that describes its columns (`crumple import --guess` drafts one)"
+        `event,time_s,gap_m,...`); any other format needs a map that describes its columns (`crumple \
+        import --guess` drafts one)"
     )]
     UnknownFormat {
         /// First field of the line.

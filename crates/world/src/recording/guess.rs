@@ -17,8 +17,8 @@ const TIMES: &str = "time timestamp t zeit sec seconds";
 const SPACINGS: &str = "gap spacing distance dist range clearance headway abstand d dx";
 const RELATIVE: &str = "rel relative relativ closing rangerate dv deltav vrel differenz";
 const SPEEDS: &str = "speed velocity vel v geschwindigkeit mps kmh kph mph xvelocity vego vl vf vlead vrel tempo";
-const LEADERS: &str = "lead leader target front preceding ahead object obj tgt vl vlead vorn vorne voraus vorausfahrend \
-    ziel objekt";
+const LEADERS: &str = "lead leader target front preceding ahead object obj tgt vl vlead vorn vorne voraus \
+    vorausfahrend ziel objekt";
 const VEHICLES: &str = "id vehicle track trackid vehicleid fahrzeug";
 const EVENTS: &str = "event eventid episode episodeid";
 const LANES: &str = "lane laneid spur fahrstreifen";

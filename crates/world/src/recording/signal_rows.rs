@@ -25,7 +25,7 @@ pub(super) struct ResampledSignals {
 }
 
 impl ResampledSignals {
-    /// Returns the rows with the names and units of the columns. The time of the map stands for the clocks of the groups.
+    /// Returns the rows, and names and units of the columns. The time of the map stands for the clocks of the groups.
     pub(super) fn new(stream: SignalStream, map: &RecordingMapSpec) -> (Self, Fields, Fields) {
         let signals = &stream.set;
         let is_base = |signal: &&Signal| map.column_role(&signal.name).is_some_and(|role| role.is_spacing);

@@ -16,8 +16,8 @@ const UNKNOWN_POSITION: &str = " times the position or the length of a vehicle i
     vehicle follows it, or a vehicle beyond it, then";
 const ABSENT: &str = " times a vehicle that has rows before and after may be between two others, the first time here: \
     they do not follow each other then";
-const OVERLAPPING: &str = " times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows no \
-    vehicle then";
+const OVERLAPPING: &str = " times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows \
+    no vehicle then";
 
 /// A vehicle between two of its rows, while other vehicles have rows.
 struct Absence {

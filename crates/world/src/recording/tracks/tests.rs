@@ -114,9 +114,11 @@ proptest! {
             }
             let (from, rows, lane, repeats) = blips[vehicle];
             // An absence between two blips in a lane may be a longer time in it.
-            if if repeats && absences.iter().all(|absence| absence.0 != vehicle) { step % 5 == from % 5 } else { (from..from + rows).contains(&step) } {
-                row.2 = lane;
-            }
+            let is_blip = match repeats && absences.iter().all(|absence| absence.0 != vehicle) {
+                true => step % 5 == from % 5,
+                false => (from..from + rows).contains(&step),
+            };
+            row.2 = if is_blip { lane } else { row.2 };
             damaged.push((row.0, row.1, row.2, row.3 + noise.0, row.4 + noise.1, row.5));
         }
         let recording = read_rows(&damaged);
