@@ -104,6 +104,10 @@ impl BinaryRows for ResampledSignals {
                 *last += 1;
             }
         }
+        // A clock that starts anew has later times before the next row.
+        if let Some(last) = self.last.get_mut(self.base) {
+            *last = self.row - 1;
+        }
         if let Some(unit_s) = self.time_unit_s {
             texts.push("");
             numbers.push(at_s / unit_s);
