@@ -50,7 +50,7 @@ pub(super) struct InvariantCommand {
     #[arg(long, value_enum, default_value = "absolute")]
     plant: InvariantPlant,
     /// Largest gap of the region, in metres
-    #[arg(long, value_name = "M", default_value_t = 100.0)]
+    #[arg(long, value_name = "M", default_value_t = 100.0, value_parser = |text: &str| parse_up_to(text, 1e4))]
     gap: f64,
     /// Gap beyond which the claim ends, in metres, for controllers that drive only up to a gap; default: never
     #[arg(long, value_name = "M")]
@@ -65,10 +65,10 @@ pub(super) struct InvariantCommand {
     #[arg(long, value_name = "A..B", default_value = "-7.5..3", allow_hyphen_values = true, value_parser = parse_range)]
     leader_accel: [f64; 2],
     /// Largest error of the observed gap, in metres
-    #[arg(long, value_name = "M", default_value_t = 1e-9)]
+    #[arg(long, value_name = "M", default_value_t = 1e-9, value_parser = |text: &str| parse_up_to(text, 1e2))]
     gap_error: f64,
     /// Largest error of the observed speeds, in m/s
-    #[arg(long, value_name = "MPS", default_value_t = 1e-9)]
+    #[arg(long, value_name = "MPS", default_value_t = 1e-9, value_parser = |text: &str| parse_up_to(text, 1e2))]
     speed_error: f64,
     /// Cells of each speed: 4 to 1000
     #[arg(long, value_name = "N", default_value_t = 140, value_parser = clap::value_parser!(u32).range(4..=1000))]
@@ -77,7 +77,7 @@ pub(super) struct InvariantCommand {
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(0..=4))]
     splits: u32,
     /// Smallest gap of the set, in metres
-    #[arg(long, value_name = "M", default_value_t = 0.0)]
+    #[arg(long, value_name = "M", default_value_t = 0.0, value_parser = |text: &str| parse_up_to(text, 1e4))]
     smallest_gap: f64,
     /// File for the certificate; a policy or network goes next to it; replaces an existing file
     #[arg(long, value_name = "FILE")]
@@ -106,6 +106,12 @@ fn parse_range(text: &str) -> Result<[f64; 2], String> {
         (Some(low), Some(high)) if low <= high => Ok([low, high]),
         _ => Err("must be two finite numbers A..B, with A at most B".to_owned()),
     }
+}
+
+/// Parses a number from 0 to a limit.
+fn parse_up_to(text: &str, most: f64) -> Result<f64, String> {
+    let number = text.parse().ok().filter(|number| (0.0..=most).contains(number));
+    number.ok_or_else(|| format!("must be a number from 0 to {most}"))
 }
 
 impl InvariantCommand {
@@ -216,10 +222,16 @@ impl InvariantCommand {
 fn defeat_line(defeat: Option<&Defeat>) -> String {
     match defeat {
         None => "outside the set: no simulated leader defeats the controller\n".to_owned(),
-        Some(Defeat { gap_m, own_mps, leader_mps, leader_accelerates_s }) => format!(
-            "outside the set: from {own_mps:.2} m/s, {gap_m:.2} m behind a leader at {leader_mps:.2} m/s, a leader \
-             that accelerates for {leader_accelerates_s} s and then brakes causes a collision in the simulation\n"
-        ),
+        Some(Defeat { gap_m, own_mps, leader_mps, leader_accelerates_s }) => {
+            let brakes = match *leader_accelerates_s {
+                0.0 => "brakes at once".to_owned(),
+                time_s => format!("accelerates for {time_s} s and then brakes"),
+            };
+            format!(
+                "outside the set: at {own_mps:.2} m/s, {gap_m:.2} m behind a leader at {leader_mps:.2} m/s that \
+                 {brakes}, the controller collides in a simulation\n"
+            )
+        }
     }
 }
 

@@ -202,18 +202,23 @@ fn describe_sensor_attack(report: &SensorAttackReport<'_>) -> String {
             _ if happens_anyway => writeln!(text, "  {failure} happens without a further fault"),
             None => writeln!(text, "  no fault up to its limit causes {failure}"),
             Some(fault) => {
-                let percent = 100.0 * fault.share;
-                writeln!(text, "  mildest fault that causes {failure}: {}, {percent:.1} % of its limit", fault.kind)
+                let MildestFault { kind, share, amount, unit, .. } = fault;
+                let percent = 100.0 * share;
+                writeln!(
+                    text,
+                    "  mildest fault that causes {failure}: {kind}, {amount:.2} {unit}, {percent:.1} % of its limit"
+                )
             }
         };
     }
-    let percent = |found: &Option<MildestFault>| {
-        found.as_ref().map_or("-".to_owned(), |fault| format!("{:.1} %", 100.0 * fault.share))
+    let size = |found: &Option<MildestFault>| {
+        let size = |fault: &MildestFault| format!("{:.2} {} ({:.1} %)", fault.amount, fault.unit, 100.0 * fault.share);
+        found.as_ref().map_or("-".to_owned(), size)
     };
-    let _ = writeln!(text, "  {:<16} {:<26} {:>11} {:>20}", "fault", "limit", "collision", "unnecessary braking");
+    let _ = writeln!(text, "  {:<16} {:<26} {:>18} {:>20}", "fault", "limit", "collision", "unnecessary braking");
     for FaultKindResult { kind, limit, collision, unnecessary_braking } in &result.kinds {
-        let [collision, braking] = [collision, unnecessary_braking].map(percent);
-        let _ = writeln!(text, "  {kind:<16} {limit:<26} {collision:>11} {braking:>20}");
+        let [collision, braking] = [collision, unnecessary_braking].map(size);
+        let _ = writeln!(text, "  {kind:<16} {limit:<26} {collision:>18} {braking:>20}");
     }
     let _ = writeln!(text, "  mildest faults found; {} simulations", result.evaluations);
     text

@@ -75,6 +75,7 @@ impl Certificate {
         match &self.statement {
             Statement::Kernel(_) => "any two vehicles with these limits".to_owned(),
             Statement::Rate(_) | Statement::Comparison(_) => format!("space `{name}`, SHA-256 {sha256}"),
+            Statement::Invariant(_) => format!("the limits of scenario `{name}`, SHA-256 {sha256}"),
             _ if self.provenance.box_text.is_some() => format!("a box around scenario `{name}`, SHA-256 {sha256}"),
             _ => format!("scenario `{name}`, SHA-256 {sha256}"),
         }
@@ -260,17 +261,17 @@ fn invariant_scope(claim: &InvariantClaim) -> Scope {
         MotionModel::Relative => (format!("leader: any speed, {accelerates}; no standstill"), "closing speed"),
     };
     let own = format!(
-        "under test: {speed} up to {} m/s (at the start {}), from {brake} to {accel} m/s², {driver}",
+        "under test: {speed} up to {} m/s (at the start up to {}), from {brake} to {accel} m/s², {driver}",
         own.high, claim.initial_own_mps_at_most
     );
     let largest = claim.observation_error.iter().copied().fold(0.0, f64::max);
     let ends = claim.ends_beyond_gap_m.map(|gap_m| format!("until a gap exceeds {gap_m} m"));
-    let limits = vec![format!(
-        "a decision every {} steps of {} s; observations err by at most {} (m, m/s)",
-        claim.decision_steps,
-        claim.step_s,
-        format_number(largest)
-    )];
+    let largest = format_number(largest);
+    let decides = match claim.decision_steps {
+        1 => format!("a decision in each step of {} s", claim.step_s),
+        steps => format!("a decision every {steps} steps of {} s", claim.step_s),
+    };
+    let limits = vec![format!("{decides}; observations err by at most {largest} (m, m/s)")];
     let limits = limits.into_iter().chain(ends).collect();
     let behind = Some("behind: not considered".to_owned());
     Scope { behind, ..partial_scope(Some(f64::INFINITY), vec![leader, own], limits) }

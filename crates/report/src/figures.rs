@@ -94,7 +94,9 @@ fn format_thousands(reward: f64) -> String {
 /// Draws the boundary of an invariant set: the smallest gap against the closing speed, one line for each own speed.
 #[must_use]
 pub fn draw_invariant_set(lines: &[(String, Vec<(f64, f64)>)], most_m: f64) -> Svg {
-    let title = "Smallest gap of the set, in metres";
+    let title = "Smallest gap of the set by own speed, in metres";
+    let heights = lines.iter().flat_map(|(_, points)| points.iter().map(|point| point.1));
+    let most_m = most_m.min(1.1 * heights.fold(1.0, f64::max));
     let closing = lines.iter().flat_map(|(_, points)| points.iter().map(|point| point.0));
     let (low, high) = closing.fold((0.0_f64, 1.0_f64), |(low, high), value| (low.min(value), high.max(value)));
     let x = Axis::numeric("closing speed, m/s", (low, high), 8);

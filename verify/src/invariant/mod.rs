@@ -43,6 +43,7 @@
 //! of real numbers; the rounding of a simulator belongs to the observation errors.
 
 mod command;
+mod share;
 mod step;
 pub mod table;
 
@@ -265,44 +266,6 @@ impl InvariantClaim {
             }
             MotionModel::Absolute => Ok(()),
         }
-    }
-
-    /// Returns a lower bound of the set's share of the region's volume.
-    ///
-    /// # Errors
-    /// [`Rejection`] if the region is invalid.
-    pub fn share(&self, table: &HeightTable) -> Result<f64, Rejection> {
-        let point = Interval::point;
-        let [own, leader, acceleration] = self.axes;
-        let widths = [self.region_own_mps, self.region_leader_mps].map(|[low, high]| high - low);
-        let is_line = leader.cells == 0 && widths[1] == 0.0 && self.region_leader_mps[0] == leader.low;
-        let is_region = self.region_gap_m > 0.0 && self.region_gap_m.is_finite() && widths[0] > 0.0;
-        if !(is_region && widths[0].is_finite() && (is_line || widths[1] > 0.0 && widths[1].is_finite())) {
-            return Err(Rejection::invalid("region_gap_m", "and the speeds of the region must be finite and increase"));
-        }
-        // The own acceleration is 0 at the start.
-        let Some(at_rest) = (0..acceleration.node_count()).find(|&index| acceleration.node(index) == 0.0) else {
-            return Err(Rejection::invalid("axes", "must have a node at own acceleration 0"));
-        };
-        let inside = |axis: TableAxis, index: usize, [low, high]: [f64; 2]| {
-            let range = axis.cell(index);
-            (range.low() >= low && range.high() <= high).then(|| point(range.high()) - point(range.low()))
-        };
-        let own_region = [self.region_own_mps[0], self.region_own_mps[1].min(self.initial_own_mps_at_most)];
-        let mut volume = Interval::ZERO;
-        for i in 0..own.cells as usize {
-            let Some(own_width) = inside(own, i, own_region) else { continue };
-            for j in 0..(leader.cells as usize).max(1) {
-                let leader_width =
-                    if is_line { Some(Interval::ONE) } else { inside(leader, j, self.region_leader_mps) };
-                let Some(leader_width) = leader_width else { continue };
-                let depth = point(self.region_gap_m) - table.mean_height([i, j, at_rest]);
-                volume += depth.max(Interval::ZERO) * own_width * leader_width;
-            }
-        }
-        let [own_width, leader_width] = [self.region_own_mps, self.region_leader_mps]
-            .map(|[low, high]| if low == high { Interval::ONE } else { point(high) - point(low) });
-        Ok(volume.over(point(self.region_gap_m) * own_width * leader_width).low().max(0.0))
     }
 }
 

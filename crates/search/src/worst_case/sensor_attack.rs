@@ -22,20 +22,46 @@ const GHOST_GAPS_M: [f64; 3] = [10.0, 30.0, 60.0];
 const GHOST_LIMIT_S: f64 = 2.0;
 const GHOST: &str = "ghost";
 
-/// Name, limit and scaling of a kind of fault.
-type FaultKind = (&'static str, &'static str, fn(&mut SensorFaults, f64));
+/// A kind of fault, with one quantity that grows from none to a limit.
+struct FaultKind {
+    name: &'static str,
+    limit: &'static str,
+    /// Quantity without a fault and at the limit.
+    range: [f64; 2],
+    unit: &'static str,
+    set: fn(&mut SensorFaults, f64),
+}
+
+impl FaultKind {
+    const fn new(
+        name: &'static str,
+        limit: &'static str,
+        range: [f64; 2],
+        unit: &'static str,
+        set: fn(&mut SensorFaults, f64),
+    ) -> Self {
+        Self { name, limit, range, unit, set }
+    }
+
+    fn amount(&self, share: f64) -> f64 {
+        let [none, limit] = self.range;
+        none + (limit - none) * share
+    }
+}
 
 const KINDS: [FaultKind; 8] = [
-    ("latency", "2 s", |faults, share| faults.latency_s = 2.0 * share),
-    ("gap too small", "10 m", |faults, share| faults.gap_bias_m = -10.0 * share),
-    ("gap too large", "10 m", |faults, share| faults.gap_bias_m = 10.0 * share),
-    ("resolution", "10 m", |faults, share| faults.gap_resolution_m = 10.0 * share),
-    ("outages", "one per second, 10 s long", |faults, share| {
-        (faults.outage_rate_per_s, faults.outage_length_s) = (1.0, 10.0 * share);
+    FaultKind::new("latency", "2 s", [0.0, 2.0], "s", |faults, time_s| faults.latency_s = time_s),
+    FaultKind::new("gap too small", "10 m", [0.0, 10.0], "m", |faults, bias_m| faults.gap_bias_m = -bias_m),
+    FaultKind::new("gap too large", "10 m", [0.0, 10.0], "m", |faults, bias_m| faults.gap_bias_m = bias_m),
+    FaultKind::new("resolution", "10 m", [0.0, 10.0], "m", |faults, step_m| faults.gap_resolution_m = step_m),
+    FaultKind::new("outages", "one per second, 10 s long", [0.0, 10.0], "s", |faults, length_s| {
+        (faults.outage_rate_per_s, faults.outage_length_s) = (1.0, length_s);
     }),
-    ("range", "1 m instead of 200 m", |faults, share| faults.range_m = Some(200.0 - 199.0 * share)),
-    ("late detection", "10 s", |faults, share| faults.detection_delay_s = 10.0 * share),
-    (GHOST, "2 s long", |_, _| {}),
+    FaultKind::new("range", "1 m instead of 200 m", [200.0, 1.0], "m", |faults, range_m| {
+        faults.range_m = Some(range_m)
+    }),
+    FaultKind::new("late detection", "10 s", [0.0, 10.0], "s", |faults, delay_s| faults.detection_delay_s = delay_s),
+    FaultKind::new(GHOST, "2 s long", [0.0, GHOST_LIMIT_S], "s", |_, _| {}),
 ];
 
 /// Failure that a fault causes.
@@ -54,6 +80,10 @@ pub struct MildestFault {
     pub kind: &'static str,
     /// Share of the limit, above 0 and at most 1.
     pub share: f64,
+    /// Size of the fault.
+    pub amount: f64,
+    /// Unit of the size.
+    pub unit: &'static str,
     /// All faults of the sensors.
     pub faults: SensorFaults,
 }
@@ -132,15 +162,16 @@ pub fn attack_sensors(
     let mut search = FaultSearch { scenario, options, observer, candidates, evaluations: 0 };
     let [collides, brakes] = search.simulate(&[scenario.spec().sensors.faults.clone()])?[0];
     let bounds = search.find_bounds([collides, brakes])?;
-    let kinds = KINDS.iter().enumerate().map(|(kind, &(name, limit, _))| {
+    let kinds = KINDS.iter().enumerate().map(|(index, kind)| {
         let [collision, unnecessary_braking] = [0, 1].map(|failure| {
-            let own = search.candidates.iter().zip(&bounds).filter(|(candidate, _)| candidate.kind == kind);
+            let own = search.candidates.iter().zip(&bounds).filter(|(candidate, _)| candidate.kind == index);
             let found = own.filter_map(|(candidate, bounds)| Some((candidate, bounds[failure]?[1])));
             let (candidate, high) = found.min_by_key(|(_, high)| *high)?;
             let faults = candidate.scale(&scenario.spec().sensors.faults, high);
-            Some(MildestFault { kind: name, share: share_of_limit(high), faults })
+            let share = share_of_limit(high);
+            Some(MildestFault { kind: kind.name, share, amount: kind.amount(share), unit: kind.unit, faults })
         });
-        FaultKindResult { kind: name, limit, collision, unnecessary_braking }
+        FaultKindResult { kind: kind.name, limit: kind.limit, collision, unnecessary_braking }
     });
     Ok(SensorAttackResult {
         collides_without_fault: collides,
@@ -153,7 +184,7 @@ pub fn attack_sensors(
 fn list_candidates(scenario: &Scenario) -> Vec<Candidate> {
     let own_mps = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index));
     let own_mps = own_mps.and_then(|index| scenario.vehicles().get(index)).map_or(0.0, |own| own.speed_mps);
-    let plain = (0..KINDS.len()).filter(|&kind| KINDS[kind].0 != GHOST);
+    let plain = (0..KINDS.len()).filter(|&kind| KINDS[kind].name != GHOST);
     let mut candidates: Vec<_> = plain.map(|kind| Candidate { kind, ghost: None }).collect();
     for onset in 0..GHOST_ONSETS {
         let onset_s = scenario.spec().duration_s * f64::from(onset) / f64::from(GHOST_ONSETS);
@@ -173,10 +204,11 @@ fn share_of_limit(thousandths: u32) -> f64 {
 
 impl Candidate {
     fn scale(&self, base: &SensorFaults, thousandths: u32) -> SensorFaults {
-        let (mut faults, share) = (base.clone(), share_of_limit(thousandths));
+        let kind = &KINDS[self.kind];
+        let (mut faults, amount) = (base.clone(), kind.amount(share_of_limit(thousandths)));
         match self.ghost {
-            Some(ghost) => faults.ghost = Some(GhostObject { duration_s: GHOST_LIMIT_S * share, ..ghost }),
-            None => (KINDS[self.kind].2)(&mut faults, share),
+            Some(ghost) => faults.ghost = Some(GhostObject { duration_s: amount, ..ghost }),
+            None => (kind.set)(&mut faults, amount),
         }
         faults
     }

@@ -1,0 +1,128 @@
+//! Limits and region of an invariant set.
+
+use std::path::Path;
+
+use crumple_core::digest::sha256;
+use crumple_verify::InvariantClaim;
+use crumple_verify::invariant::table::TableAxis;
+use crumple_verify::invariant::{InvariantController, MotionModel, NetworkReference};
+use crumple_verify::reach::{NeuralController, controller_file_name};
+use crumple_world::scenario::file::{self, FileError};
+use crumple_world::scenario::{Driver, Scenario};
+use serde::{Deserialize, Serialize};
+
+use crate::initial_set::control_law;
+use crate::reach::InvalidBox;
+
+/// Limits and region of an invariant set, as `crumple verify invariant` writes them to a certificate.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct InvariantSpec {
+    /// Version of the format: 1.
+    pub version: u32,
+    /// Scenario, of which the second vehicle is under test.
+    pub scenario: String,
+    /// Model of motion.
+    pub motion: MotionModel,
+    /// Hardest braking, negative, and largest acceleration of the leader, in m/s².
+    pub leader_mps2: [f64; 2],
+    /// Largest errors of the observed gap in metres, and of own and leader's speed in m/s.
+    pub observation_error: [f64; 3],
+    /// Largest gap of the region, in metres.
+    pub region_gap_m: f64,
+    /// Gap beyond which the claim ends, in metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub ends_beyond_gap_m: Option<f64>,
+    /// Own speeds of the region, in m/s; closing speeds in the relative model.
+    pub region_own_mps: [f64; 2],
+    /// Leader's speeds of the region, in m/s.
+    pub region_leader_mps: [f64; 2],
+    /// Control law with its settings; absent for a policy or network.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub controller: Option<Driver>,
+}
+
+impl InvariantSpec {
+    /// Parses the text of a certificate; `path` only names it in errors.
+    ///
+    /// # Errors
+    /// [`FileError`] if the text has another form.
+    pub fn from_toml(text: &str, path: &Path) -> Result<Self, FileError> {
+        let spec: Self = file::parse_toml(text, path)?;
+        match spec.version {
+            1 => Ok(spec),
+            other => Err(FileError::Syntax {
+                path: path.to_owned(),
+                line: file::line_in_toml(text, "version"),
+                message: format!("version {other} is not supported: this release reads version 1"),
+            }),
+        }
+    }
+
+    /// Returns the claim without its set, for a law of the spec or the bytes of a policy file.
+    ///
+    /// # Errors
+    /// [`InvalidBox`] if the checker does not support the scenario or the controller.
+    pub(crate) fn frame(&self, scenario: &Scenario, policy: Option<&[u8]>) -> Result<InvariantClaim, InvalidBox> {
+        let wrong = |why: &str| InvalidBox::field("scenario", why);
+        let ego = scenario.vehicles().get(1).ok_or_else(|| wrong("has too few vehicles"))?;
+        let is_plain = ego.acceleration_noise_mps2 == 0.0
+            && ego.reaction_delay_s == 0.0
+            && ego.actuator_delay_s == 0.0
+            && ego.jerk_limit_mps3.is_none()
+            && ego.multi_body().is_none()
+            && ego.keeps_lane();
+        if ego.driver != Driver::UnderTest || !is_plain {
+            return Err(wrong(
+                "the second vehicle must be under test, stay in the lane, and have no noise, delay or limited jerk, \
+                 and the plant `point-mass`",
+            ));
+        }
+        let own_mps2 = [-scenario.usable_brake_mps2(1), ego.max_accel_mps2()];
+        let step_s = scenario.spec().step_s;
+        let (controller, decision_steps) = match (&self.controller, policy) {
+            (Some(Driver::Controller(spec)), None) => {
+                let law = control_law(spec, ego.max_accel_mps2()).ok_or_else(|| {
+                    InvalidBox::Controller(format!(
+                        "must be idm, acc-aeb, a policy or a network, found {}",
+                        spec.name()
+                    ))
+                })?;
+                (InvariantController::Law(law), 1)
+            }
+            (None, Some(bytes)) => {
+                let network = NeuralController::from_bytes(bytes).map_err(InvalidBox::Controller)?;
+                let digest = sha256(bytes);
+                let reference = NetworkReference {
+                    policy_file: controller_file_name(&digest, network.source.is_some()),
+                    policy_sha256: digest,
+                    source: network.source.clone(),
+                };
+                let steps = (network.decision_interval_s / step_s).round();
+                (InvariantController::Network(reference), steps as u32)
+            }
+            _ => return Err(InvalidBox::Controller("must be either a law or a policy".to_owned())),
+        };
+        let lag_s = ego.actuator_lag_s;
+        Ok(InvariantClaim {
+            motion: self.motion,
+            controller,
+            step_s,
+            decision_steps,
+            response_per_step: if lag_s > 0.0 { -(-step_s / lag_s).exp_m1() } else { 1.0 },
+            own_mps2,
+            leader_mps2: self.leader_mps2,
+            observation_error: self.observation_error,
+            region_gap_m: self.region_gap_m,
+            ends_beyond_gap_m: self.ends_beyond_gap_m,
+            region_own_mps: self.region_own_mps,
+            region_leader_mps: self.region_leader_mps,
+            initial_own_mps_at_most: 0.0,
+            axes: [TableAxis::point(0.0); 3],
+            splits: 0,
+            heights: Vec::new(),
+            share_at_least: 0.0,
+            min_gap_m_at_least: 0.0,
+        })
+    }
+}
