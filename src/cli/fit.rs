@@ -50,7 +50,7 @@ pub(super) struct Fit {
     /// Recordings
     #[arg(required = true, value_name = "RECORDING")]
     recordings: Vec<PathBuf>,
-    /// Meanings of the columns: a file (docs/exchange.md), or openacc, highd, ngsim or sumo-fcd
+    /// Meanings of the columns: a file (docs/exchange.md), or openacc, car-following, highd, ngsim or sumo-fcd
     #[arg(long, value_name = "MAP.toml|NAME")]
     map: Option<PathBuf>,
     /// Vehicles whose braking makes an episode

@@ -36,9 +36,10 @@ pub(super) fn fill_holes(points: &mut Vec<TrackPoint>, longest_s: f64) -> Result
     let mut before: Option<TrackPoint> = None;
     for b in points.drain(..) {
         let is_hole = |a: &TrackPoint| (a.track, a.lane) == (b.track, b.lane) && b.time_ms - a.time_ms <= longest_ms;
-        if let Some(a) = before.replace(b).filter(is_hole) {
-            let from = times_ms.partition_point(|time_ms| *time_ms <= a.time_ms);
-            for &time_ms in times_ms.iter().skip(from).take_while(|time_ms| **time_ms < b.time_ms) {
+        let from = before.replace(b).filter(is_hole);
+        if let Some(a) = from {
+            let after = times_ms.partition_point(|time_ms| *time_ms <= a.time_ms);
+            for &time_ms in times_ms.iter().skip(after).take_while(|time_ms| **time_ms < b.time_ms) {
                 let share = (time_ms - a.time_ms) as f64 / (b.time_ms - a.time_ms) as f64;
                 let between = |a: Option<f64>, b: Option<f64>| a.zip(b).map(|(a, b)| a + (b - a) * share);
                 filled.push(TrackPoint {
@@ -51,7 +52,8 @@ pub(super) fn fill_holes(points: &mut Vec<TrackPoint>, longest_s: f64) -> Result
                 found.get_or_insert((a.line, 0)).1 += 1;
             }
         }
-        if times_ms.binary_search(&b.time_ms).is_ok() {
+        // Without it, a vehicle whose rows are too far apart would not be absent in between.
+        if from.is_none() || times_ms.binary_search(&b.time_ms).is_ok() {
             filled.push(b);
         }
         if filled.len() > MAX_POINTS {
