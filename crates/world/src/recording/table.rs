@@ -41,14 +41,8 @@ impl<'a> RowReader<'a> {
     /// Reads rows whose columns have names and units.
     pub(super) fn from_binary(rows: Box<dyn BinaryRows + 'a>, names: (Fields, Fields), path: &'a Path) -> Self {
         let rows = RowSource::Binary { rows, names: Some(names) };
-        Self {
-            path,
-            rows,
-            row: CsvRow::new(path, DecimalMark::Point),
-            decimals: None,
-            rows_left: usize::MAX,
-            samples: 0,
-        }
+        let row = CsvRow::new(path, DecimalMark::Point);
+        Self { path, rows, row, decimals: None, rows_left: usize::MAX, samples: 0 }
     }
 
     /// Detects the text format, as far as `map` does not state it.
