@@ -24,6 +24,9 @@ pub(super) enum CliError {
     /// A gate did not hold: exit code 1.
     #[error("{0}")]
     Gate(String),
+    /// The input holds nothing to work with: exit code 1.
+    #[error("{0}")]
+    NothingFound(String),
     /// Arguments or input are unusable: exit code 2.
     #[error("{0}")]
     Input(String),
@@ -51,7 +54,7 @@ impl CliError {
     #[must_use]
     pub(super) fn exit_code(&self) -> ExitCode {
         match self {
-            Self::Gate(_) => ExitCode::from(1),
+            Self::Gate(_) | Self::NothingFound(_) => ExitCode::from(1),
             Self::Input(_) => ExitCode::from(2),
             Self::Environment(_) => ExitCode::from(3),
         }

@@ -4,6 +4,7 @@ use serde::Serialize;
 
 use super::CliError;
 use crumple_report::draw::Svg;
+use crumple_world::recording::{READS_MDF, READS_PARQUET};
 use crumple_world::sim::Trace;
 
 #[derive(Serialize)]
@@ -15,10 +16,17 @@ pub(super) struct Feature {
 
 pub(super) const EXPLORE: Feature =
     Feature { name: "explore", used_for: "`crumple explore`", enabled: cfg!(feature = "explore") };
-pub(super) const PARQUET: Feature =
-    Feature { name: "parquet", used_for: "traces and recordings in Parquet", enabled: cfg!(feature = "parquet") };
-pub(super) const MDF: Feature =
-    Feature { name: "mdf", used_for: "recordings in ASAM MDF 4", enabled: cfg!(feature = "mdf") };
+pub(super) const PARQUET: Feature = Feature {
+    name: "parquet",
+    // Another package of the workspace may enable the recordings only.
+    used_for: if READS_PARQUET && !cfg!(feature = "parquet") {
+        "traces in Parquet"
+    } else {
+        "traces and recordings in Parquet"
+    },
+    enabled: cfg!(feature = "parquet"),
+};
+pub(super) const MDF: Feature = Feature { name: "mdf", used_for: "recordings in ASAM MDF 4", enabled: READS_MDF };
 pub(super) const PNG: Feature =
     Feature { name: "png", used_for: "figures as PNG files", enabled: cfg!(feature = "png") };
 

@@ -1,8 +1,10 @@
 //! `crumple fit`: fits a scenario space to recorded episodes.
 
-use std::collections::BTreeSet;
+use std::collections::BTreeMap;
 use std::fmt::Write;
-use std::path::PathBuf;
+use std::fs::{File, Metadata};
+use std::io::{self, BufReader, Read};
+use std::path::{Path, PathBuf};
 
 use clap::{Args, value_parser};
 use serde_json::json;
@@ -48,7 +50,7 @@ pub(super) struct Fit {
     /// Recordings
     #[arg(required = true, value_name = "RECORDING")]
     recordings: Vec<PathBuf>,
-    /// Meanings of the columns: a file (docs/exchange.md), or openacc, highd, ngsim or sumo-fcd
+    /// Meanings of the columns: a file (docs/exchange.md), or openacc, car-following, highd, ngsim or sumo-fcd
     #[arg(long, value_name = "MAP.toml|NAME")]
     map: Option<PathBuf>,
     /// Vehicles whose braking makes an episode
@@ -88,14 +90,25 @@ fn parse_space_path(path: &str) -> Result<PathBuf, String> {
     if path.ends_with(".toml") { Ok(PathBuf::from(path)) } else { Err("must end in .toml".to_owned()) }
 }
 
-/// Refuses duplicates, which would count episodes and hours twice and understate the uncertainty.
+/// Refuses recordings with the content of another one, which would count episodes and hours twice and understate the
+/// uncertainty.
 pub(super) fn ensure_distinct(recordings: &[PathBuf]) -> Result<(), CliError> {
-    let mut known = BTreeSet::new();
-    let mut is_again = |path: &&PathBuf| path.canonicalize().is_ok_and(|file| !known.insert(file));
-    match recordings.iter().find(|path| is_again(path)) {
-        Some(path) => Err(CliError::at(path, "this recording is given twice")),
-        None => Ok(()),
+    let mut by_length: BTreeMap<u64, Vec<&PathBuf>> = BTreeMap::new();
+    for path in recordings {
+        // A pipe has no content yet.
+        let Some(length) = path.metadata().ok().filter(Metadata::is_file).map(|file| file.len()) else { continue };
+        let known = by_length.entry(length).or_default();
+        if let Some(other) = known.iter().find(|other| have_same_content(path, other).unwrap_or(false)) {
+            return Err(CliError::at(path, format!("this recording is given twice: {} is equal", other.display())));
+        }
+        known.push(path);
     }
+    Ok(())
+}
+
+fn have_same_content(a: &Path, b: &Path) -> io::Result<bool> {
+    let bytes = |path: &Path| -> io::Result<_> { Ok(BufReader::new(File::open(path)?).bytes().map_while(Result::ok)) };
+    Ok(bytes(a)?.eq(bytes(b)?))
 }
 
 impl Fit {

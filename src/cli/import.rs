@@ -9,6 +9,7 @@ use clap::Args;
 use serde::Serialize;
 
 use super::CliError;
+use super::fit::ensure_distinct;
 use super::import_openscenario::{OpenScenarioArgs, is_openscenario};
 use super::output_folder::{OutputFolder, stage_unless_edited};
 use super::progress::read_bar;
@@ -57,7 +58,7 @@ pub(super) struct Import {
     /// Recordings, or one OpenSCENARIO file
     #[arg(required = true, value_name = "RECORDING")]
     recordings: Vec<PathBuf>,
-    /// Meanings of the columns: a file (docs/exchange.md), or openacc, highd, ngsim or sumo-fcd
+    /// Meanings of the columns: a file (docs/exchange.md), or openacc, car-following, highd, ngsim or sumo-fcd
     #[arg(long, value_name = "MAP.toml|NAME")]
     map: Option<PathBuf>,
     /// Print and plot the interpretation of one recording; writes no scenario and ignores thresholds
@@ -127,7 +128,7 @@ impl ImportReport {
     fn new(imported: &ImportResult, scenarios: Vec<String>) -> Self {
         let one = |source: &ImportedRecording| RecordingImport {
             recording: source.path.display().to_string(),
-            format: source.format.name().to_owned(),
+            format: source.format.clone(),
             text: source.text.to_string(),
             scenarios: source.scenarios,
             hardest_braking: source.hardest.to_string(),
@@ -184,6 +185,7 @@ impl Import {
         if self.openscenario.is_used() {
             return Err(CliError::Input("--ego and --distribution apply only to a file F.xosc".to_owned()));
         }
+        ensure_distinct(&self.recordings)?;
         if self.guess {
             return self.draft_map(quiet);
         }
@@ -225,7 +227,7 @@ impl Import {
         }
         let name = path.display().to_string();
         let Some(seen) = preview(&recording) else {
-            return Err(CliError::Gate(format!("{name}: {}", hardest_braking(&recording))));
+            return Err(CliError::NothingFound(format!("{name}: {}", hardest_braking(&recording))));
         };
         let drawn = self::render_figure(&figures::draw_recording(&seen, &name), picture)?;
         let mut files = StagedFiles::default();
@@ -234,7 +236,7 @@ impl Import {
         if self.format == OutputFormat::Json {
             return output::print_json(&RecordingSummary {
                 recording: &name,
-                format: recording.format.name(),
+                format: &recording.format,
                 text: recording.text.to_string(),
                 leads: seen.lead_vehicles,
                 samples: seen.samples,
@@ -254,7 +256,7 @@ impl Import {
             speed_mps: [slow, typical, fast],
             ..
         } = seen;
-        let mut text = format!("{}: {}\n", TerminalText(&name), recording.format.name());
+        let mut text = format!("{}: {}\n", TerminalText(&name), recording.format);
         let each = step_s.map_or("one of each vehicle".to_owned(), |step_s| format!("one each {step_s:.3} s"));
         text +=
             &format!("  {leads} vehicles that may lead, {samples} samples, from {from_s:.2} to {to_s:.2} s, {each}\n");
@@ -311,7 +313,7 @@ impl Import {
                 OutputFormat::Json => output::print_json(&ImportReport::new(&imported, names)),
                 OutputFormat::Text => Ok(()),
             };
-            return CliError::gate_first(Err(CliError::Gate(none)), printed);
+            return CliError::gate_first(Err(CliError::NothingFound(none)), printed);
         }
         files.commit()?;
         let others = self.count_other_scenarios(&names)?;
@@ -324,7 +326,7 @@ impl Import {
         }
         let line = |source: &ImportedRecording| {
             let plural = if source.scenarios == 1 { "" } else { "s" };
-            let (path, format) = (source.path.display().to_string(), source.format.name());
+            let (path, format) = (source.path.display().to_string(), &source.format);
             format!("{}: {} scenario{plural} ({format})\n", TerminalText(&path), source.scenarios)
         };
         let words = || imported.sources.iter().map(line).collect();

@@ -42,7 +42,7 @@ pub(super) struct LogReplay {
     /// a command after `exec:`
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]
     controller: NamedController,
-    /// Meanings of the columns: a file (docs/exchange.md), or openacc, highd, ngsim or sumo-fcd
+    /// Meanings of the columns: a file (docs/exchange.md), or openacc, car-following, highd, ngsim or sumo-fcd
     #[arg(long, value_name = "MAP.toml|NAME")]
     map: Option<PathBuf>,
     /// Deceleration that counts as braking of the controller, in m/s² [default: 1.3]
@@ -142,7 +142,7 @@ impl LogReplay {
         self.controller.ensure_trusted().map_err(CliError::input)?;
         if drives.is_empty() {
             let problem = format!("no vehicle follows another for a second; {}", empty.join("; "));
-            return Err(CliError::Gate(problem));
+            return Err(CliError::NothingFound(problem));
         }
         let hours = drives.iter().map(|drive| drive.duration_s).sum::<f64>() / 3600.0;
         let kilometres = drives.iter().map(|drive| drive.distance_m).sum::<f64>() / 1000.0;
@@ -175,11 +175,16 @@ fn format_report(report: &ReplayReport) -> String {
     text
 }
 
+fn plural(count: u64) -> &'static str {
+    if count == 1 { "" } else { "s" }
+}
+
 fn write_report(report: &ReplayReport, out: &mut String) -> std::fmt::Result {
     let ReplayReport { controller, min_brake_mps2, drives, hours, kilometres, brakings, .. } = report;
-    writeln!(out, "{drives} drives behind a leader: {hours:.3} h, {kilometres:.2} km")?;
+    let times = |count| format!("{count} time{}", plural(count));
+    writeln!(out, "{drives} drive{} behind a leader: {hours:.3} h, {kilometres:.2} km", plural(*drives as u64))?;
     let (name, count) = (TerminalText(controller), brakings.len());
-    writeln!(out, "{name} would have braked {count} times, by at least {min_brake_mps2} m/s²")?;
+    writeln!(out, "{name} would have braked {}, by at least {min_brake_mps2} m/s²", times(count as u64))?;
     let mut hardest: Vec<_> = brakings.iter().collect();
     hardest.sort_by(|a, b| b.brake_mps2.total_cmp(&a.brake_mps2));
     if !hardest.is_empty() {
@@ -206,7 +211,11 @@ fn write_report(report: &ReplayReport, out: &mut String) -> std::fmt::Result {
         };
         let UnnecessaryReport { count, seconds, per_hour, per_100_km } = found;
         let (per_hour, per_100_km) = (rate(per_hour), per_100_km.as_ref().map_or("not defined".to_owned(), rate));
-        writeln!(out, "unnecessary braking of the {who}, at any --min-brake: {count} times, {seconds:.2} s in all")?;
+        writeln!(
+            out,
+            "unnecessary braking of the {who}, at any --min-brake: {}, {seconds:.2} s in all",
+            times(*count)
+        )?;
         writeln!(out, "  per hour {per_hour}, per 100 km {per_100_km}, at 95 %")?;
     }
     Ok(())

@@ -289,7 +289,7 @@ pub fn dbc_file(bytes: &[u8]) -> Result<(), Violation> {
 const FRAMES: &[u8] = include_bytes!("../../../corpora/fuzz/binary_recording/frames");
 
 fn check_recording(bytes: &[u8], map: Option<&RecordingMap>) -> Result<(), Violation> {
-    let recording = match recording::read_bytes(bytes, Path::new("f.csv"), map) {
+    let recording = match recording::read(bytes, Path::new("f.csv"), map) {
         Ok(recording) => recording,
         Err(error) => {
             let message = error.to_string();

@@ -105,7 +105,10 @@ fn unsuitable_data_are_refused() {
     assert_refused(&fit("enough.csv", "--min-brake 12"), "min_brake: must be below 12 m/s²");
     assert_refused(&fit("enough.csv", "--name ''"), "name: must have 1 to 100 characters");
     assert_refused(&fit("nothing.csv", ""), "nothing.csv");
-    assert_refused(&fit("enough.csv", "./enough.csv"), "./enough.csv: this recording is given twice");
+    fs::copy(folder.path().join("enough.csv"), folder.path().join("copy.csv")).unwrap();
+    for again in ["./enough.csv", "copy.csv"] {
+        assert_refused(&fit("enough.csv", again), &format!("{again}: this recording is given twice"));
+    }
     assert_refused(&run_crumple(here, "fit enough.csv --out s.json"), "must end in .toml");
     let one: String = events_csv(1).lines().skip(1).map(|line| format!("{line}\n")).collect();
     let same = (0..25).map(|event| one.replace("\n0,", &format!("\n{event},")).replacen("0,", &format!("{event},"), 1));

@@ -328,5 +328,5 @@ fn renumber_clusters(waves: &[u32]) -> Vec<u32> {
 fn source_name(recording: &Recording) -> String {
     let name = recording.path.file_name().map(|name| name.to_string_lossy()).unwrap_or_default();
     let plain: String = name.chars().map(|letter| if letter.is_control() { '?' } else { letter }).take(200).collect();
-    if plain.is_empty() { recording.format.name().to_owned() } else { plain }
+    if plain.is_empty() { recording.format.clone() } else { plain }
 }

@@ -8,6 +8,8 @@ use super::ReadProgress;
 use super::error::{BinaryProblem, RecordingError};
 use super::map::RecordingMapSpec;
 use super::table::RowReader;
+#[cfg(any(feature = "mdf", feature = "parquet"))]
+use super::text_rows::Fields;
 
 /// Number of bytes that show the format of a file.
 pub(super) const START_BYTES: u64 = 8;
@@ -20,7 +22,18 @@ pub(super) const MAX_LISTED: usize = 30;
 pub(super) enum BinaryFormat {
     Parquet,
     Mdf,
+    /// Another format, with the name and its article.
+    Other(&'static str),
 }
+
+/// First bytes and names of formats that are often taken for text.
+const OTHER_FORMATS: [(&[u8], &str); 5] = [
+    (b"PK\x03\x04", "a ZIP archive or an Excel workbook"),
+    (b"\x1f\x8b", "a gzip archive"),
+    (b"\x89HDF", "an HDF5 file"),
+    (b"MATLAB", "a MATLAB file"),
+    (b"LOGG", "a BLF file"),
+];
 
 /// A file, or its bytes.
 pub(super) enum Input {
@@ -92,13 +105,15 @@ impl BinaryFormat {
         } else if start.starts_with(b"MDF     ") || start.starts_with(b"UnFinMF ") {
             Some(Self::Mdf)
         } else {
-            None
+            let found = OTHER_FORMATS.iter().find(|(first, _)| start.starts_with(first));
+            found.map(|(_, name)| Self::Other(name))
         }
     }
 }
 
-/// Returns the names of the columns or signals of a file; `time` for the clocks of an MDF file.
-pub(super) fn column_names(path: &Path) -> Result<Vec<String>, RecordingError> {
+/// Returns the names of the columns or signals of a file, and whether it can state units. The clocks of an MDF file are
+/// `time`.
+pub(super) fn column_names(path: &Path) -> Result<(Vec<String>, bool), RecordingError> {
     let error = |source| RecordingError::Read { path: path.to_owned(), source };
     let open_file = || RecordingFile::open(path, None).map_err(error);
     let mut start = Vec::new();
@@ -113,13 +128,13 @@ pub(super) fn column_names(path: &Path) -> Result<Vec<String>, RecordingError> {
             };
             let read = super::mdf::SignalSet::read(open_file()?, None, &collect);
             read.map_err(|problem| RecordingError::Binary { path: path.to_owned(), problem: problem.into() })?;
-            return Ok(names.into_inner());
+            return Ok((names.into_inner(), true));
         }
         Some(format) => open(format, Input::File(open_file()?), path, None)?,
         None => RowReader::new(open_file()?, path, None)?,
     };
     let names = rows.next_header()?.ok_or_else(|| RecordingError::Empty { path: path.to_owned() })?;
-    Ok(names.fields.iter().map(str::to_owned).collect())
+    Ok((names.fields.iter().map(str::to_owned).collect(), false))
 }
 
 /// Returns the rows of a file for the columns of a map.
@@ -132,6 +147,7 @@ pub(super) fn open<'a>(
     let opened = match format {
         BinaryFormat::Parquet => open_parquet(input, path, map),
         BinaryFormat::Mdf => open_mdf(input, path, map),
+        BinaryFormat::Other(format) => Err(BinaryProblem::UnknownFormat { format }),
     };
     opened.map_err(|problem| RecordingError::Binary { path: path.to_owned(), problem })
 }
@@ -146,7 +162,7 @@ fn open_parquet<'a>(
         Input::File(file) => super::parquet_rows::open(file, map)?,
         Input::Bytes(bytes) => super::parquet_rows::open(bytes::Bytes::from(bytes), map)?,
     };
-    Ok(RowReader::from_binary(Box::new(rows), names, path))
+    Ok(RowReader::from_binary(Box::new(rows), (names, Fields::default()), path))
 }
 
 #[cfg(not(feature = "parquet"))]
@@ -170,24 +186,22 @@ fn open_mdf<'a>(input: Input, path: &'a Path, map: Option<&RecordingMapSpec>) ->
         Input::File(file) => SignalStream::open(file, dbc.as_ref(), &wanted),
         Input::Bytes(bytes) => SignalStream::open(std::io::Cursor::new(bytes), dbc.as_ref(), &wanted),
     }?;
-    let (rows, names) = super::signal_rows::ResampledSignals::new(signals, map);
+    let (rows, names, units) = super::signal_rows::ResampledSignals::new(signals, map);
     check_columns(map, &names, &known.into_inner())?;
-    Ok(RowReader::from_binary(Box::new(rows), names, path))
+    Ok(RowReader::from_binary(Box::new(rows), (names, units), path))
 }
 
 /// Checks that a file has the columns of a map, beside numbered ones.
 #[cfg(any(feature = "mdf", feature = "parquet"))]
-pub(super) fn check_columns(
-    map: &RecordingMapSpec,
-    names: &super::text_rows::Fields,
-    known: &[String],
-) -> Result<(), BinaryProblem> {
+pub(super) fn check_columns(map: &RecordingMapSpec, names: &Fields, known: &[String]) -> Result<(), BinaryProblem> {
     let is_missing = |column: &str| !column.contains("{}") && names.iter().all(|name| name != column);
     match map.columns().into_iter().find(|(_, column)| is_missing(column)) {
         Some((_, column)) => {
             let more = if known.len() < MAX_LISTED { "" } else { ", ..." };
             let known: Vec<_> = known.iter().take(MAX_LISTED).map(|name| super::table::excerpt(name)).collect();
-            let known = format!("{}{more}", known.join(", "));
+            let has_frames = map.dbc.is_none() && known.iter().any(|name| name.starts_with("CAN_DataFrame"));
+            let hint = if has_frames { "; raw CAN frames need `dbc = \"FILE.dbc\"` in the map" } else { "" };
+            let known = format!("{}{more}{hint}", known.join(", "));
             Err(BinaryProblem::MissingColumn { column: column.to_owned(), known })
         }
         None => Ok(()),

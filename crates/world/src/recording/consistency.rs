@@ -4,7 +4,7 @@ use std::fmt;
 
 use super::dropped::{DroppedItem, Omission, format_fixed};
 use super::error::{ColumnProblem, LineProblem, RecordingError};
-use super::map::{TimeSpec, TimeUnit};
+use super::map::{SpeedUnit, TimeSpec, TimeUnit};
 use super::table::RowReader;
 
 /// Shortest time, in seconds, and largest number of rows of a window.
@@ -23,6 +23,18 @@ const MIN_UNEXPLAINED_MPS: f64 = 1.5;
 const MIN_UNEXPLAINED: f64 = 0.5;
 /// A reason explains an error if it leaves this share of it.
 const EXPLAINED_SHARE: f64 = 0.25;
+/// Smallest ratio of both rates that shows another unit, whatever the noise.
+const MIN_RATIO: f64 = 1.3;
+/// Half width of the interval of this ratio in standard errors, and tolerance beside it.
+const RATIO_ERRORS: f64 = 4.0;
+const RATIO_TOLERANCE: f64 = 0.03;
+
+/// Intervals of frames in seconds, by their rate.
+#[rustfmt::skip]
+const FRAME_INTERVALS_S: &[(&str, f64)] = &[
+    ("5 Hz", 1.0 / 5.0), ("10 Hz", 1.0 / 10.0), ("12.5 Hz", 1.0 / 12.5), ("15 Hz", 1.0 / 15.0), ("20 Hz", 1.0 / 20.0),
+    ("24 Hz", 1.0 / 24.0), ("25 Hz", 1.0 / 25.0), ("30 Hz", 1.0 / 30.0), ("50 Hz", 1.0 / 50.0), ("60 Hz", 1.0 / 60.0),
+];
 
 /// Two columns, or sums of columns, whose values exclude each other.
 #[derive(Debug, Clone, PartialEq)]
@@ -70,13 +82,24 @@ impl Hypothesis {
         })
     }
 
-    /// Returns a hypothesis for each other unit of the time.
+    /// Returns a hypothesis for each other unit of both speeds, or of either.
+    pub(super) fn speeds<'a>(
+        [(leader, leader_unit), (follower, follower_unit)]: [(&'a str, f64); 2],
+        difference: &'a str,
+    ) -> impl Iterator<Item = Self> + 'a {
+        let units = |column, given, terms| Self::units(column, (SpeedUnit::ALL, given), terms);
+        let both = units(difference, leader_unit, [false, true, true]).filter(move |_| leader_unit == follower_unit);
+        let each = units(leader, leader_unit, [false, true, false]);
+        both.chain(each).chain(units(follower, follower_unit, [false, false, true]))
+    }
+
+    /// Returns a hypothesis for each other unit of the time, or rate of frames.
     pub(super) fn times(time: &TimeSpec, given: f64) -> impl Iterator<Item = Self> {
-        let column = match time {
-            TimeSpec::Clock(clock) => &clock.column,
-            TimeSpec::Frames(frames) => &frames.column,
+        let (column, units) = match time {
+            TimeSpec::Clock(clock) => (&clock.column, TimeUnit::ALL),
+            TimeSpec::Frames(frames) => (&frames.column, FRAME_INTERVALS_S),
         };
-        Self::units(column, (TimeUnit::ALL, given), [false, true, true])
+        Self::units(column, (units, given), [false, true, true])
     }
 }
 
@@ -173,19 +196,24 @@ impl Comparison {
         if windows.len() < MIN_WINDOWS {
             return None;
         }
-        let median = |value: &dyn Fn(&Window) -> f64| {
+        let quantile = |share: f64, value: &dyn Fn(&Window) -> f64| {
             let mut values: Vec<f64> = windows.iter().map(|window| value(window)).collect();
-            let middle = values.len() / 2;
-            *values.select_nth_unstable_by(middle, f64::total_cmp).1
+            let place = (values.len() as f64 * share) as usize;
+            *values.select_nth_unstable_by(place, f64::total_cmp).1
         };
         let difference = |window: &Window, factors| {
             let [change, stated] = window.rates(factors);
             change - stated
         };
-        let error = |factors| median(&|window| difference(window, factors).abs());
-        let scale = |factors| median(&|window| window.rates(factors).iter().fold(0.0, |a: f64, b| a.max(b.abs())));
+        let error = |factors| quantile(0.5, &|window| difference(window, factors).abs());
+        let scale =
+            |factors| quantile(0.5, &|window| window.rates(factors).iter().fold(0.0, |a: f64, b| a.max(b.abs())));
+        let ratio = |factors| ratio_interval(self.windows.iter().map(|window| window.rates(factors)).collect());
         let (given_mps, scale_mps) = (error(GIVEN), scale(GIVEN));
-        if given_mps <= MAX_ERROR_MPS.max(MAX_RELATIVE_ERROR * scale_mps) {
+        let is_wrong = given_mps > MAX_ERROR_MPS.max(MAX_RELATIVE_ERROR * scale_mps);
+        let [low, high] = ratio(GIVEN);
+        let is_wrong_ratio = low > MIN_RATIO || high < 1.0 / MIN_RATIO;
+        if !is_wrong && !is_wrong_ratio {
             return None;
         }
         // Relative errors of the hypotheses that leave only noise.
@@ -196,19 +224,30 @@ impl Comparison {
         });
         let relative: Vec<f64> = relative.collect();
         let best = relative.iter().copied().fold(f64::INFINITY, f64::min);
-        let is_explained = best <= EXPLAINED_SHARE * given_mps / scale_mps;
-        let offset_mps = median(&|window| difference(window, GIVEN));
+        let has_better_error = is_wrong && best <= EXPLAINED_SHARE * given_mps / scale_mps;
+        let explains = |(one, &error): (&'_ Hypothesis, &f64)| {
+            let [low, high] = ratio(one.factors);
+            let has_ratio = low > 1.0 / MIN_RATIO && low < 1.0 + RATIO_TOLERANCE && high > 1.0 - RATIO_TOLERANCE;
+            let is_likely = if has_better_error { error <= best + 0.03 } else { error.is_finite() && has_ratio };
+            is_likely.then(|| one.reason.clone())
+        };
+        let reasons: Vec<_> = hypotheses.iter().zip(&relative).filter_map(explains).collect();
+        let is_explained = !reasons.is_empty();
+        let offset_mps = quantile(0.5, &|window| difference(window, GIVEN));
+        let scatter_mps = || quantile(0.5, &|window| (difference(window, GIVEN) - offset_mps).abs());
         let reason = if is_explained {
-            let explains = |(one, &error): (&'_ Hypothesis, &f64)| (error <= best + 0.03).then(|| one.reason.clone());
-            Some(hypotheses.iter().zip(&relative).filter_map(explains).collect::<Vec<_>>().join(", or "))
-        } else if median(&|window| (difference(window, GIVEN) - offset_mps).abs()) <= EXPLAINED_SHARE * given_mps {
+            Some(reasons.join(", or "))
+        } else if !is_wrong {
+            return None;
+        } else if scatter_mps() <= EXPLAINED_SHARE * given_mps {
             Some(format!("this looks like an offset of {} {unit}", format_fixed(offset_mps, 1)))
         } else if given_mps > MIN_UNEXPLAINED_MPS.max(MIN_UNEXPLAINED * scale_mps) {
             None
         } else {
             return None;
         };
-        let nearness = |window: &&&Window| (difference(window, GIVEN).abs() - given_mps).abs();
+        let typical_mps = if is_wrong { given_mps } else { quantile(0.9, &|window| difference(window, GIVEN).abs()) };
+        let nearness = |window: &&&Window| (difference(window, GIVEN).abs() - typical_mps).abs();
         let typical = windows.iter().min_by(|a, b| nearness(a).total_cmp(&nearness(b)))?;
         let (columns, rates) = (columns.map(str::to_owned), typical.rates(GIVEN));
         Some((ColumnContradiction { columns, rates, unit, reason }, typical.line, is_explained))
@@ -235,5 +274,30 @@ impl Comparison {
         }
         dropped.push(DroppedItem { path, line, omission: Omission::ColumnsContradict(contradiction) });
         Ok(false)
+    }
+}
+
+/// Returns an interval of the slope of the first rates over the second ones, with noise in either. The twentieth of the
+/// rates that differs most from the slope does not count.
+fn ratio_interval(mut rates: Vec<[f64; 2]>) -> [f64; 2] {
+    let fit = |rates: &[[f64; 2]]| {
+        let count = rates.len() as f64;
+        let mean = [0, 1].map(|index| rates.iter().map(|pair| pair[index]).sum::<f64>() / count);
+        let product =
+            |a: usize, b: usize| rates.iter().map(|pair| (pair[a] - mean[a]) * (pair[b] - mean[b])).sum::<f64>();
+        let (slope, correlation) =
+            (product(0, 1) / product(1, 1), product(0, 1).powi(2) / (product(0, 0) * product(1, 1)));
+        (mean, slope, correlation)
+    };
+    let (mean, slope, _) = fit(&rates);
+    let error = |pair: &[f64; 2]| (pair[0] - mean[0] - slope * (pair[1] - mean[1])).abs();
+    rates.sort_by(|a, b| error(a).total_cmp(&error(b)));
+    rates.truncate(rates.len() - rates.len() / 20);
+    let (_, slope, correlation) = fit(&rates);
+    let least = 1.0 - RATIO_ERRORS * ((1.0 / correlation - 1.0).max(0.0) / (rates.len() as f64 - 2.0)).sqrt();
+    match slope * least {
+        low if least > 0.0 && slope > 0.0 => [low, slope / (correlation * least)],
+        high if least > 0.0 => [slope / (correlation * least), high],
+        _ => [f64::NEG_INFINITY, f64::INFINITY],
     }
 }

@@ -2,7 +2,7 @@
 
 use std::cmp::Reverse;
 
-use super::dropped::{DroppedItem, EpisodeProblem, Omission};
+use super::dropped::{CHECK_UNIT, DroppedItem, EpisodeProblem, Omission, format_fixed};
 use super::episode::BrakingEpisode;
 use super::error::RecordingError;
 use super::lead_vehicles::{LeadVehicle, VehicleAhead};
@@ -16,6 +16,9 @@ const START_SEARCH_MS: i64 = 2_000;
 /// Time that a scenario continues after braking, unless the leader brakes again, in milliseconds. A braking wave passes
 /// from car to car in about a second, and the last car still has to stop.
 const TAIL_MS: i64 = 10_000;
+
+/// Mean braking over a second that is reported, because a unit may be wrong, in m/s².
+const MAX_USUAL_BRAKE_MPS2: f64 = 10.0;
 
 /// Smallest braking of an episode: the speed lost within one second, in m/s².
 ///
@@ -53,7 +56,7 @@ impl Default for MinBrake {
 pub struct FoundEpisodes {
     /// Episodes, in the order of the file.
     pub episodes: Vec<BrakingEpisode>,
-    /// Episodes without a scenario.
+    /// Episodes without a scenario, and with unusual braking.
     pub dropped: Vec<DroppedItem>,
 }
 
@@ -112,17 +115,18 @@ impl EpisodeWindow<'_> {
         let nearness_ms = |sample: &SpeedSample| (sample.time_ms - (self.braking.onset_ms - LEAD_IN_MS)).abs();
         let rank = |sample: &&SpeedSample| (self.lead.followers_at(sample).len(), Reverse(nearness_ms(sample)));
         let Some(start) = candidates.iter().max_by_key(rank) else { return };
+        let (number, onset_s) = (self.lead.number(), self.braking.onset_ms as f64 / 1000.0);
+        let item = |omission| DroppedItem { path: recording.path.clone(), line: self.lead.line_of(start), omission };
         match self.build_episode(start) {
-            Ok(episode) => found.episodes.push(episode),
-            Err(why) => {
-                let (number, onset_s) = (self.lead.number(), self.braking.onset_ms as f64 / 1000.0);
-                let what = Omission::Episode { number, onset_s, reason: why };
-                found.dropped.push(DroppedItem {
-                    path: recording.path.clone(),
-                    line: self.lead.line_of(start),
-                    omission: what,
-                });
+            Ok(episode) => {
+                if episode.largest_drop_mps > MAX_USUAL_BRAKE_MPS2 {
+                    let found_mps2 = format_fixed(episode.largest_drop_mps, 1);
+                    let unusual = format!("vehicle {number} brakes by {found_mps2} m/s² at {onset_s} s: {CHECK_UNIT}");
+                    found.dropped.push(item(Omission::Note(unusual)));
+                }
+                found.episodes.push(episode);
             }
+            Err(reason) => found.dropped.push(item(Omission::Episode { number, onset_s, reason })),
         }
     }
 

@@ -16,7 +16,7 @@ fn only_episode(text: &str) -> BrakingEpisode {
 
 #[test]
 fn a_braking_platoon_becomes_one_scenario() {
-    let contradiction = "a.csv:87: the change of IVS{} is 0.0 m/s here, but the difference of Speed{} is -9.5 m/s: \
+    let contradiction = "a.csv:87: the change of IVS1 is 0.0 m/s here, but Speed1 - Speed2 is -9.5 m/s: \
         this looks like an offset of 9.5 m/s";
     assert_eq!(dropped_of(&braking_platoon(3)), [contradiction], "gaps stay the same behind a braking leader");
     let scenario = only_episode(&braking_platoon(3)).scenario("a-01".to_owned(), "a.csv").expect("valid");

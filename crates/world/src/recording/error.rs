@@ -1,7 +1,7 @@
 //! Errors of recordings.
 
 use std::io;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use super::consistency::ColumnContradiction;
 use crate::scenario::{file::FileError, format_compact};
@@ -39,7 +39,7 @@ pub enum RecordingError {
         path: PathBuf,
     },
     /// An invalid line.
-    #[error("{}:{line}: {problem}", path.display())]
+    #[error("{}: {problem}", format_place(path, *line))]
     Line {
         /// Path of the file.
         path: PathBuf,
@@ -80,6 +80,11 @@ pub enum RecordingError {
     },
 }
 
+/// Returns a path with a line, which is 0 for the names of the columns of a file that is no text.
+pub(super) fn format_place(path: &Path, line: u64) -> String {
+    if line == 0 { path.display().to_string() } else { format!("{}:{line}", path.display()) }
+}
+
 /// A problem of a file that is no text.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -95,6 +100,15 @@ pub enum BinaryProblem {
         /// Feature that reads it.
         feature: &'static str,
     },
+    /// A file of a format that no build reads.
+    #[error("this is {format}: export the recording as CSV, Parquet or MDF 4")]
+    UnknownFormat {
+        /// Name of the format, with its article.
+        format: &'static str,
+    },
+    /// A DBC file beside a file of text.
+    #[error("the map names a DBC file, which applies only to MDF files: remove `dbc`, or give an MDF file")]
+    NeedsMdf,
     /// An MDF file without map.
     #[error("an MDF file needs a map that names its signals (--map); `crumple import --guess` drafts one")]
     NeedsMap,
@@ -123,7 +137,8 @@ pub enum LineProblem {
     /// A first line of neither built-in format.
     #[error(
         "`{found}`: neither an OpenACC recording (which starts with `Date`) nor car-following events (which start with \
-        `event,time_s,gap_m,...`); any other format needs a map that describes its columns"
+        `event,time_s,gap_m,...`); any other format needs a map that describes its columns (`crumple \
+        import --guess` drafts one)"
     )]
     UnknownFormat {
         /// First field of the line.
@@ -171,6 +186,12 @@ pub enum ColumnProblem {
     Missing {
         /// Existing names, truncated to 40 characters.
         known: String,
+    },
+    /// A unit in the file that crumple does not know.
+    #[error("the file states the unit `{unit}`, which crumple does not know: state the unit in the map")]
+    UnknownUnit {
+        /// Name of the unit.
+        unit: String,
     },
     /// Two columns of one name.
     #[error("named twice")]

@@ -10,7 +10,7 @@ use super::episodes::{FoundEpisodes, LeaderSelection, MinBrake, find_episodes};
 use super::error::RecordingError;
 use super::map::RecordingMap;
 use super::preview::{HardestBrakingResult, HardestSearch};
-use super::{ReadProgress, Recording, RecordingFormat, TextFormat, load_parts, merge_dropped};
+use super::{ReadProgress, Recording, TextFormat, load_parts, merge_dropped};
 
 const MAX_FILE_STEM_CHARS: usize = 100;
 
@@ -48,8 +48,8 @@ pub struct ImportedScenario {
 pub struct ImportedRecording {
     /// Path of the recording.
     pub path: PathBuf,
-    /// Format of the recording.
-    pub format: RecordingFormat,
+    /// Name of the map of the recording.
+    pub format: String,
     /// Encoding, and format of columns, numbers and times.
     pub text: TextFormat,
     /// Number of scenarios.
@@ -144,11 +144,11 @@ fn import_part(
 
 /// Returns format and file name in lower-case letters, digits and single hyphens, without repeating the format.
 fn prefix(recording: &Recording) -> String {
-    let format = recording.format.name();
+    let format = &recording.format;
     let stem = slug(recording.path.file_stem().map(Path::new).unwrap_or(Path::new("")));
     if stem.is_empty() {
         format.to_owned()
-    } else if stem == format || stem.starts_with(&format!("{format}-")) {
+    } else if stem == *format || stem.starts_with(&format!("{format}-")) {
         stem
     } else {
         format!("{format}-{stem}")

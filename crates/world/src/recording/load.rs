@@ -97,28 +97,17 @@ fn only_part(
 
 /// Reads the bytes of a recording file; `path` only names it.
 ///
-/// # Errors
-/// Those of [`load`], except for reading the file.
-pub fn read_bytes(bytes: &[u8], path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
-    match binary::BinaryFormat::detect(bytes) {
-        Some(format) => {
-            let bytes = binary::Input::Bytes(bytes.to_vec());
-            let table = binary::open(format, bytes, path, map.map(RecordingMap::spec))?;
-            only_part(path, |each| read_rows(table, path, map, each))
-        }
-        None => read(bytes, path, map),
-    }
-}
-
-/// Reads a text recording from a stream; `path` only names it.
-///
 /// Fails for lines above a mebibyte, 200 vehicles of a platoon or a million events. Ignores a byte order mark and
 /// carriage returns before line feeds.
 ///
 /// # Errors
-/// Those of [`load`].
-pub fn read(from: impl Read, path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
-    let table = RowReader::new(from, path, map.map(RecordingMap::spec))?;
+/// Those of [`load`], except for reading the file.
+pub fn read(bytes: &[u8], path: &Path, map: Option<&RecordingMap>) -> Result<Recording, RecordingError> {
+    let spec = map.map(RecordingMap::spec);
+    let table = match binary::BinaryFormat::detect(bytes) {
+        Some(format) => binary::open(format, binary::Input::Bytes(bytes.to_vec()), path, spec)?,
+        None => RowReader::new(bytes, path, spec)?,
+    };
     only_part(path, |each| read_rows(table, path, map, each))
 }
 

@@ -73,14 +73,18 @@ pub use error::{BinaryProblem, ColumnProblem, LineProblem, RecordingError};
 pub use exposure::{FollowingExposure, braking_clusters, following_exposure};
 pub use import::{ImportOptions, ImportResult, ImportedRecording, ImportedScenario, import};
 pub use lead_vehicles::VehicleAhead;
-pub use load::{ReadProgress, load, load_first_part, load_parts, read, read_bytes};
+pub use load::{ReadProgress, load, load_first_part, load_parts, read};
 
 use lead_vehicles::{LeadVehicle, PlatoonLead};
-use map::RecordingMapSpec;
 pub use parts::{PartSink, merge_dropped};
 pub use preview::{HardestBraking, HardestBrakingResult, HardestSearch, Preview, SpeedLine, hardest_braking, preview};
 pub use text::TextFormat;
 pub use tracks::RecordedTraffic;
+
+/// True if this build reads ASAM MDF 4.
+pub const READS_MDF: bool = cfg!(feature = "mdf");
+/// True if this build reads Parquet.
+pub const READS_PARQUET: bool = cfg!(feature = "parquet");
 
 /// Largest plausible acceleration, in m/s²; larger values are measurement errors. Tyres on a dry road give little more
 /// than 1 g.
@@ -91,8 +95,8 @@ pub const MAX_PLAUSIBLE_ACCEL_MPS2: f64 = 12.0;
 pub struct Recording {
     /// Path of the file.
     pub path: PathBuf,
-    /// Format of the file.
-    pub format: RecordingFormat,
+    /// Name of the map, which begins the names of imported scenarios.
+    pub format: String,
     /// Encoding, and format of columns, numbers and times.
     pub text: TextFormat,
     /// Platoons of at least two vehicles without missing members.
@@ -111,22 +115,6 @@ impl Recording {
             leads.map(move |index| Box::new(PlatoonLead { platoon, index }) as Box<dyn LeadVehicle>)
         });
         in_platoons.chain(self.traffic.iter().flat_map(RecordedTraffic::lead_vehicles)).collect()
-    }
-}
-
-/// Format of a recording: the name of its map.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct RecordingFormat(String);
-
-impl RecordingFormat {
-    fn from_map(map: &RecordingMapSpec) -> Self {
-        Self(map.name.clone())
-    }
-
-    /// Returns the name, which begins the names of imported scenarios.
-    #[must_use]
-    pub fn name(&self) -> &str {
-        &self.0
     }
 }
 

@@ -10,14 +10,14 @@ use std::{iter, mem};
 
 use super::acceleration::AccelerationCheck;
 use super::consistency::Comparison;
-use super::dropped::{DroppedItem, Omission};
+use super::dropped::{DroppedItem, Omission, SPEEDS_LEFT_OUT, format_fixed};
 use super::error::{ColumnProblem, RecordingError};
-use super::map::{PairsSpec, RecordingMapSpec, Sign, SpeedSpec};
+use super::map::{LengthUnit, PairsSpec, RecordingMapSpec, Sign, SpeedSpec, SpeedUnit};
 use super::parts::{PART_ROWS, PartBounds, PartSink};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
-use super::table::{CsvColumn, CsvRow, RowCounter, RowReader, excerpt};
+use super::table::{CsvColumn, CsvRow, RowReader, excerpt};
 use super::target_switches::PairSamples;
-use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat, TextFormat};
+use super::{RecordedPlatoon, RecordedVehicle, Recording, TextFormat};
 
 /// Largest contradiction of the three speeds due to rounding and filtering, in m/s.
 const SPEED_TOLERANCE_MPS: f64 = 0.1;
@@ -32,9 +32,7 @@ pub(super) fn read(
     each: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
     let mut events = EventReader::new((map, pairs), names)?;
-    let mut counter = RowCounter::new(&names.fields);
-    while let Some(row) = table.next_row()? {
-        counter.check_row(row)?;
+    while let Some(row) = table.next_sample(&names.fields)? {
         events.read_row(row)?;
         if events.finished_rows > PART_ROWS {
             let part = events.part(table, Vec::new())?;
@@ -44,21 +42,16 @@ pub(super) fn read(
         }
     }
     let mut dropped = Vec::new();
-    table.check_samples(counter.rows, &mut dropped)?;
+    table.check_samples(&mut dropped)?;
     events.finish_event();
     let speeds = [&events.follower, &events.relative, &events.leader].into_iter().flatten();
     let accelerations = events.accelerations.iter().flatten().map(|acceleration| &acceleration.series);
     for series in iter::once(&events.gap).chain(speeds).chain(accelerations) {
-        series.report(table.path(), counter.rows, &mut dropped);
+        series.report(table.path(), table.samples, &mut dropped);
     }
     let mut last = events.part(table, dropped)?;
     events.clock.report(&mut last.dropped);
-    if let Some((mut first, rows)) = events.contradictions {
-        if let Omission::SpeedsContradict { count, .. } = &mut first.omission {
-            *count = rows;
-        }
-        last.dropped.push(first);
-    }
+    last.dropped.extend(events.contradictions);
     each(last)?;
     Ok(())
 }
@@ -83,7 +76,7 @@ pub(super) struct EventReader<'m> {
     pub(super) follower: Option<Series>,
     pub(super) relative: Option<Series>,
     pub(super) leader: Option<Series>,
-    contradictions: Option<(DroppedItem, usize)>,
+    contradictions: Option<DroppedItem>,
     /// Changes of the gap against closing speeds, and closing speeds against both speeds.
     pub(super) gap_change: Comparison,
     pub(super) closing: Comparison,
@@ -98,11 +91,15 @@ impl<'m> EventReader<'m> {
         let (map, pairs) = spec;
         let series = |name: &str, factor, quantity| Ok(Series::new(CsvColumn::find(names, name, factor)?, quantity));
         let speed = |speed: &Option<SpeedSpec>| {
-            speed.as_ref().map(|one| series(&one.column, one.unit.factor(), ColumnQuantity::Speed)).transpose()
+            speed
+                .as_ref()
+                .map(|one| series(&one.column, one.unit.map(SpeedUnit::factor), ColumnQuantity::Speed))
+                .transpose()
         };
         let relative = pairs.relative_speed.as_ref().map(|one| {
-            let sign = if one.sign == Sign::LeaderMinusFollower { 1.0 } else { -1.0 };
-            series(&one.column, sign * one.unit.factor(), ColumnQuantity::Signed)
+            let mut relative = series(&one.column, one.unit.map(SpeedUnit::factor), ColumnQuantity::Signed)?;
+            relative.column.factor *= if one.sign == Sign::LeaderMinusFollower { 1.0 } else { -1.0 };
+            Ok(relative)
         });
         let acceleration =
             |speed: &Option<SpeedSpec>| speed.as_ref().map_or(Ok(None), |speed| AccelerationCheck::find(names, speed));
@@ -112,12 +109,12 @@ impl<'m> EventReader<'m> {
             platoons: Vec::new(),
             finished_rows: 0,
             bounds: PartBounds::new(3),
-            column: pairs.event.as_ref().map(|name| CsvColumn::find(names, name, 1.0)).transpose()?,
+            column: pairs.event.as_ref().map(|name| CsvColumn::find(names, name, Some(1.0))).transpose()?,
             event: None,
             finished: HashMap::new(),
             clock: Clock::find(names, &map.time)?,
             samples: PairSamples::default(),
-            gap: series(&pairs.spacing.column, pairs.spacing.unit.factor(), ColumnQuantity::Gap)?,
+            gap: series(&pairs.spacing.column, pairs.spacing.unit.map(LengthUnit::factor), ColumnQuantity::Gap)?,
             follower: speed(&pairs.follower_speed)?,
             relative: relative.transpose()?,
             leader: speed(&pairs.leader_speed)?,
@@ -136,16 +133,21 @@ impl<'m> EventReader<'m> {
         {
             return row.reject(&column.name, ColumnProblem::Empty);
         }
+        let now_s = self.clock.read(row)?;
         // Without a column, names are not compared: comparisons of empty texts are slow on some processors.
-        if self.event.as_deref().is_none_or(|known| self.column.is_some() && known != event) {
+        if self.event.as_deref().is_none_or(|known| self.column.is_some() && known != event)
+            || self.clock.starts_anew(row, now_s)
+        {
             self.finish_event();
             if self.finished.len() >= MAX_EVENTS {
                 return row.reject_too_large(MAX_EVENTS, "events");
             }
-            self.check_not_interleaved(row, event)?;
+            self.check_not_interleaved(row, event, now_s)?;
             self.event = Some(event.to_owned());
         }
-        let Some(now_s) = self.clock.tick(row)? else { return Ok(()) };
+        if !self.clock.advance(row, now_s) {
+            return Ok(());
+        }
         if self.bounds.ends_before((now_s * 1000.0).round() as i64) {
             self.end_part();
         }
@@ -177,13 +179,12 @@ impl<'m> EventReader<'m> {
 
     /// Rejects a row that continues an event after rows of others. A row that begins before the end of the earlier
     /// event starts another event of that name.
-    fn check_not_interleaved(&mut self, row: &CsvRow<'_>, event: &str) -> Result<(), RecordingError> {
-        let (Some(column), Some(&(last_s, last_line))) = (&self.column, self.finished.get(&hash_of(event))) else {
-            return Ok(());
-        };
-        match self.clock.read(row)? > last_s {
-            true => row.reject(&column.name, ColumnProblem::Interleaved { event: excerpt(event), last_line }),
-            false => Ok(()),
+    fn check_not_interleaved(&self, row: &CsvRow<'_>, event: &str, now_s: f64) -> Result<(), RecordingError> {
+        match (&self.column, self.finished.get(&hash_of(event))) {
+            (Some(column), Some(&(last_s, last_line))) if now_s > last_s => {
+                row.reject(&column.name, ColumnProblem::Interleaved { event: excerpt(event), last_line })
+            }
+            _ => Ok(()),
         }
     }
 
@@ -205,9 +206,10 @@ impl<'m> EventReader<'m> {
                 }
                 let name = |series: &Option<Series>| series.as_ref().map_or("", |one| &one.column.name).to_owned();
                 let difference = format!("{} - {}", name(&self.leader), name(&self.follower));
-                let what =
-                    Omission::SpeedsContradict { column: name(&self.relative), difference, count: 0, first_error_mps };
-                self.contradictions.get_or_insert_with(|| (row.dropped_item(what), 0)).1 += 1;
+                let (relative, error_mps) = (name(&self.relative), format_fixed(first_error_mps, 3));
+                let after = format!(" rows, the first one here (by {error_mps} m/s){SPEEDS_LEFT_OUT}");
+                let what = Omission::counted(format!("{relative}: differs from {difference} in "), 0, after);
+                row.count(&mut self.contradictions, || what);
                 (None, None)
             }
             (follower, None, leader) => (follower, leader),
@@ -262,8 +264,7 @@ impl<'m> EventReader<'m> {
         let item = |line, omission| DroppedItem { path: table.path().to_owned(), line, omission };
         let columns = ["spacings", "the follower's speed", "the leader's speed"];
         for (column, found) in columns.into_iter().zip(mem::take(&mut self.interpolated)) {
-            let omission = |count| Omission::Interpolated { column: column.to_owned(), count };
-            dropped.extend(found.map(|(line, count)| item(line, omission(count))));
+            dropped.extend(found.map(|(line, count)| item(line, Omission::interpolated(column, count))));
         }
         self.check(table, &mut dropped)?;
         let accelerations = self.accelerations.iter_mut().flatten();
@@ -272,7 +273,7 @@ impl<'m> EventReader<'m> {
         dropped.extend(self.switches.take().map(|(line, omission)| item(line, omission)));
         Ok(Recording {
             path: table.path().to_owned(),
-            format: RecordingFormat::from_map(self.spec.0),
+            format: self.spec.0.name.clone(),
             text: TextFormat { time: self.clock.detected(), ..table.format() },
             platoons: mem::take(&mut self.platoons),
             traffic: None,

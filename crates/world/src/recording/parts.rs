@@ -55,8 +55,8 @@ impl PartBounds {
 
 /// Adds the omissions of another part.
 pub fn merge_dropped(all: &mut Vec<DroppedItem>, more: Vec<DroppedItem>) {
-    for mut item in more {
-        if !all.iter_mut().any(|known| known.omission.absorb(&mut item.omission)) {
+    for item in more {
+        if !all.iter_mut().any(|known| known.omission.absorb(&item.omission)) {
             all.push(item);
         }
     }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 
 use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, RecordingError};
-use super::map::{PlatoonSpec, RecordingMapSpec};
+use super::map::{LengthUnit, PlatoonSpec, RecordingMapSpec, SpeedUnit};
 use super::series::Clock;
 use super::table::{CsvColumn, CsvRow, excerpt};
 use super::text_rows::Fields;
@@ -62,11 +62,11 @@ impl PlatoonColumns {
         let time = Clock::find(names, &map.time)?;
         let (mut speeds, mut gaps) = (BTreeMap::new(), BTreeMap::new());
         for (index, name) in names.fields.iter().enumerate().filter(|(index, _)| *index != time.column.index) {
-            let column = |factor| CsvColumn { name: excerpt(name), index, factor };
+            let column = |factor| names.column(index, factor);
             let before = if let Some(number) = column_number(name, &platoon.speed.column) {
-                speeds.insert(number, column(platoon.speed.unit.factor()))
+                speeds.insert(number, column(platoon.speed.unit.map(SpeedUnit::factor))?)
             } else if let Some(number) = column_number(name, &platoon.spacing.column) {
-                gaps.insert(number, column(platoon.spacing.unit.factor()))
+                gaps.insert(number, column(platoon.spacing.unit.map(LengthUnit::factor))?)
             } else {
                 None
             };
@@ -87,7 +87,11 @@ impl PlatoonColumns {
         header: &PlatoonHeader,
         dropped: &mut Vec<DroppedItem>,
     ) -> Result<Vec<Vec<usize>>, RecordingError> {
-        let mut report = |what| dropped.push(names.dropped_item(what));
+        let mut report = |what| dropped.push(names.dropped_item(Omission::Note(what)));
+        let missing = |first, last, consequence| match first == last {
+            true => format!("vehicle {first} has no speed column: {consequence}"),
+            false => format!("vehicles {first} to {last} have no speed column: {consequence}"),
+        };
         let mut lines: Vec<Vec<usize>> = Vec::new();
         let mut ahead = 0;
         for &number in self.speeds.keys() {
@@ -96,14 +100,16 @@ impl PlatoonColumns {
                     0 => "the platoon starts behind",
                     _ => "the platoon is split there, because the spacing is unknown",
                 };
-                report(Omission::VehiclesMissing { first: ahead + 1, last: number - 1, consequence });
+                report(missing(ahead + 1, number - 1, consequence));
             }
             match lines.last_mut() {
                 Some(line) if number == ahead + 1 && self.gaps.contains_key(&ahead) => line.push(number),
                 _ => {
                     if number == ahead + 1 && ahead > 0 {
                         let column = self.spacing.replace("{}", &ahead.to_string());
-                        report(Omission::SpacingColumnMissing { column, ahead, behind: number });
+                        report(format!(
+                            "{column}: no such column, so the platoon is split between vehicles {ahead} and {number}"
+                        ));
                     }
                     lines.push(vec![number]);
                 }
@@ -112,20 +118,17 @@ impl PlatoonColumns {
         }
         // A count far beyond the columns is a typing error.
         if header.number_of_vehicles > ahead && header.number_of_vehicles <= MAX_VEHICLES {
-            report(Omission::VehiclesMissing {
-                first: ahead + 1,
-                last: header.number_of_vehicles,
-                consequence: "the platoon ends before",
-            });
+            report(missing(ahead + 1, header.number_of_vehicles, "the platoon ends before"));
         }
         for (number, column) in &self.gaps {
             if !(self.speeds.contains_key(number) && self.speeds.contains_key(&(number + 1))) {
-                report(Omission::SpacingWithoutVehicle { column: column.name.clone() });
+                report(format!("{}: ignored, because one of its two vehicles has no speed column", column.name));
             }
         }
         for line in &lines {
             if let [number] = **line {
-                report(Omission::LoneVehicle { number });
+                let reason = "no spacing to a vehicle ahead of it or behind it is recorded";
+                report(format!("vehicle {number}: left out, because {reason}"));
             }
         }
         lines.retain(|line| line.len() > 1);

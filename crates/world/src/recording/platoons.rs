@@ -16,13 +16,13 @@ use std::ops::Range;
 use super::consistency::{Comparison, Hypothesis};
 use super::dropped::{DroppedItem, Omission};
 use super::error::RecordingError;
-use super::map::{LengthUnit, PlatoonSpec, RecordingMapSpec, SpeedUnit};
+use super::map::{LengthUnit, PlatoonSpec, RecordingMapSpec};
 use super::parts::{PartBounds, PartSink};
 use super::platoon_columns::{PlatoonColumns, PlatoonHeader};
 use super::series::{ColumnQuantity, Series, interpolate_holes};
-use super::table::{CsvColumn, CsvRow, RowCounter, RowReader};
+use super::table::{CsvColumn, CsvRow, RowReader};
 use super::text_rows::Fields;
-use super::{RecordedPlatoon, RecordedVehicle, Recording, RecordingFormat, TextFormat};
+use super::{RecordedPlatoon, RecordedVehicle, Recording, TextFormat};
 
 /// Reads the rows after the column names, with the header lines.
 pub(super) fn read(
@@ -43,7 +43,6 @@ pub(super) fn read(
     let gap_series = |(&number, column)| (number, series(column, ColumnQuantity::Gap));
     let mut samples = PlatoonSamples {
         map,
-        platoon,
         header,
         speeds: layout.speeds.iter().map(speed_series).collect(),
         gaps: layout.gaps.iter().map(gap_series).collect(),
@@ -51,11 +50,12 @@ pub(super) fn read(
         line: Vec::new(),
     };
     let (mut clock, speeds) = (layout.time, &layout.speeds);
-    let mut counter = RowCounter::new(&names.fields);
     let mut bounds = PartBounds::new(2 * speeds.len());
-    while let Some(row) = table.next_row()? {
-        counter.check_row(row)?;
-        let Some(now_s) = clock.tick(row)? else { continue };
+    while let Some(row) = table.next_sample(&names.fields)? {
+        let now_s = clock.read(row)?;
+        if !clock.advance(row, now_s) {
+            continue;
+        }
         if bounds.ends_before((now_s * 1000.0).round() as i64) {
             let (core_ms, next_ms) = bounds.next();
             let text = TextFormat { time: clock.detected(), ..table.format() };
@@ -79,12 +79,12 @@ pub(super) fn read(
             series.values.push(value);
         }
     }
-    table.check_samples(counter.rows, &mut dropped)?;
+    table.check_samples(&mut dropped)?;
     let text = TextFormat { time: clock.detected(), ..table.format() };
     let time_factor = clock.column.factor;
     clock.report(&mut dropped);
     for series in samples.speeds.values().chain(samples.gaps.values()) {
-        series.report(table.path(), counter.rows, &mut dropped);
+        series.report(table.path(), table.samples, &mut dropped);
     }
     let core_ms = bounds.next().0;
     each(samples.part(table, (&lines_of_vehicles, speeds), (core_ms, time_factor, text), dropped)?)?;
@@ -94,7 +94,6 @@ pub(super) fn read(
 /// Samples of the current part.
 struct PlatoonSamples<'m> {
     map: &'m RecordingMapSpec,
-    platoon: &'m PlatoonSpec,
     header: PlatoonHeader,
     speeds: BTreeMap<usize, Series>,
     gaps: BTreeMap<usize, Series>,
@@ -119,36 +118,32 @@ impl PlatoonSamples<'_> {
         (core_ms, time_factor, text): (Range<i64>, f64, TextFormat),
         mut dropped: Vec<DroppedItem>,
     ) -> Result<Recording, RecordingError> {
-        let Self { map, platoon, header, speeds, gaps, time_s, line } = self;
-        let mut comparison = Comparison::default();
+        let Self { map, header, speeds, gaps, time_s, line, .. } = self;
         for (ahead, gap) in gaps {
             let (Some(leader), Some(follower)) = (speeds.get(ahead), speeds.get(&(ahead + 1))) else { continue };
-            comparison.restart();
+            let mut comparison = Comparison::default();
             let samples = time_s.iter().zip(line).zip(&gap.values).zip(leader.values.iter().zip(&follower.values));
             for (((&at_s, &line), &gap_m), (leader, follower)) in samples {
                 let rates_mps = leader.zip(*follower).map(|(leader, follower)| [leader, -follower]);
                 comparison.add((at_s, line), gap_m, rates_mps);
             }
-        }
-        let (speed, spacing) = (&platoon.speed, &platoon.spacing);
-        let hypotheses: Vec<_> =
-            Hypothesis::units(&speed.column, (SpeedUnit::ALL, speed.unit.factor()), [false, true, true])
-                .chain(Hypothesis::units(
-                    &spacing.column,
-                    (LengthUnit::ALL, spacing.unit.factor()),
-                    [true, false, false],
-                ))
+            let [leader, follower, gap] = [leader, follower, gap].map(|series| &series.column);
+            let difference = format!("{} - {}", leader.name, follower.name);
+            let speeds = [leader, follower].map(|column| (column.name.as_str(), column.factor));
+            let hypotheses: Vec<_> = Hypothesis::speeds(speeds, &difference)
+                .chain(Hypothesis::units(&gap.name, (LengthUnit::ALL, gap.factor), [true, false, false]))
                 .chain(Hypothesis::times(&map.time, time_factor))
                 .collect();
-        let columns = [format!("the change of {}", spacing.column), format!("the difference of {}", speed.column)];
-        comparison.check(table, &speed.column, [&columns[0], &columns[1]], (&hypotheses, &mut dropped))?;
+            let columns = [&format!("the change of {}", gap.name), &*difference];
+            comparison.check(table, &difference, columns, (&hypotheses, &mut dropped))?;
+        }
 
         let mut filled = |series: &Series| {
             let mut values = series.values.clone();
             if let Some((count, first)) = interpolate_holes(&mut values, time_s, map.interpolate_s) {
-                let (path, column) = (table.path().to_owned(), series.column.name.clone());
-                let line = line.get(first).copied().unwrap_or(0);
-                dropped.push(DroppedItem { path, line, omission: Omission::Interpolated { column, count } });
+                let (path, line) = (table.path().to_owned(), line.get(first).copied().unwrap_or(0));
+                let omission = Omission::interpolated(&series.column.name, count);
+                dropped.push(DroppedItem { path, line, omission });
             }
             values
         };
@@ -170,7 +165,7 @@ impl PlatoonSamples<'_> {
         }
         Ok(Recording {
             path: table.path().to_owned(),
-            format: RecordingFormat::from_map(map),
+            format: map.name.clone(),
             text,
             platoons,
             traffic: None,

@@ -63,8 +63,14 @@ impl fmt::Display for HardestBrakingResult {
             Self::SamplesTooFarApart { step_s } => write!(
                 out,
                 "the speeds of a vehicle are {step_s:.3} s apart, more than the limit of {} s: crumple cannot find \
-                    braking",
-                MAX_HOLE_MS as f64 / 1000.0
+                    braking{}",
+                MAX_HOLE_MS as f64 / 1000.0,
+                match step_s {
+                    1e6.. => ", unless the unit of the time is ns",
+                    1e3.. => ", unless the unit of the time is us",
+                    5.0.. => ", unless the unit of the time is ms",
+                    _ => "",
+                }
             ),
             Self::TooShort { longest_s } => write!(
                 out,

@@ -1,19 +1,25 @@
 //! Columns under construction: increasing times, plausible values, and counts of all others.
 
+use std::mem;
 use std::path::Path;
 
-use super::dropped::{DroppedItem, Omission};
+use super::dropped::{CHECK_UNIT, DroppedItem, Omission, format_fixed};
 use super::error::{ColumnProblem, RecordingError};
 use super::map::{ClockSpec, TimeSpec};
 use super::number::parse_iso_s;
 use super::table::{CsvColumn, CsvRow, excerpt};
+use crate::scenario::format_compact;
 
 /// Largest magnitude of a time, in seconds; still exact to a millisecond.
 const MAX_TIME_S: f64 = 1e10;
+/// A time that is earlier than the last by more is no late row, in seconds.
+const MIN_RESTART_S: f64 = 1.0;
 /// Largest gap within a platoon, in metres; vehicles further apart do not follow.
 const MAX_GAP_M: f64 = 1000.0;
 /// Largest speed of a scenario, in m/s.
 const MAX_SPEED_MPS: f64 = 100.0;
+/// Speeds above are reported, because their unit may be wrong, in m/s.
+const MAX_USUAL_SPEED_MPS: f64 = 50.0;
 /// Shortest and longest vehicle of a scenario, in metres.
 const LENGTH_RANGE_M: [f64; 2] = [0.1, 100.0];
 
@@ -27,8 +33,10 @@ pub(super) fn round_to_milli(value: f64) -> f64 {
 pub(super) struct Clock {
     pub(super) column: CsvColumn,
     last_s: Option<f64>,
-    /// First row that is not later, without the count, and number of such rows.
-    not_later: Option<(DroppedItem, usize)>,
+    /// Rows that are not later.
+    not_later: Option<DroppedItem>,
+    /// Places where the time starts anew.
+    restarts: Option<DroppedItem>,
     format: ClockFormat,
     is_first: bool,
 }
@@ -36,11 +44,9 @@ pub(super) struct Clock {
 /// Format of the times of a column.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 enum ClockFormat {
-    /// The map states no unit, and no row is read.
-    Unknown,
     /// Numbers in the unit of the map.
     Stated,
-    /// Numbers in a detected unit.
+    /// Numbers in a detected unit, seconds before the first row.
     Unit(&'static str),
     Iso,
 }
@@ -49,13 +55,14 @@ impl Clock {
     pub(super) fn find(names: &CsvRow<'_>, time: &TimeSpec) -> Result<Self, RecordingError> {
         let (column, factor, format) = match time {
             TimeSpec::Clock(ClockSpec { column, unit: Some(unit) }) => (column, unit.factor(), ClockFormat::Stated),
-            TimeSpec::Clock(ClockSpec { column, unit: None }) => (column, 1.0, ClockFormat::Unknown),
+            TimeSpec::Clock(ClockSpec { column, unit: None }) => (column, 1.0, ClockFormat::Unit("s")),
             TimeSpec::Frames(frames) => (&frames.column, 1.0 / frames.rate_hz, ClockFormat::Stated),
         };
         Ok(Self {
-            column: CsvColumn::find(names, column, factor)?,
+            column: CsvColumn::find(names, column, Some(factor))?,
             last_s: None,
             not_later: None,
+            restarts: None,
             format,
             is_first: true,
         })
@@ -70,13 +77,12 @@ impl Clock {
         }
     }
 
+    /// Detects the format by the first row.
     fn detect(&mut self, row: &CsvRow<'_>) -> Result<(), RecordingError> {
-        let text = row.text(self.column.index);
-        if text.is_empty() {
-            return Ok(());
-        }
-        if parse_iso_s(text).is_some() {
+        if parse_iso_s(row.text(self.column.index)).is_some() {
             self.format = ClockFormat::Iso;
+        }
+        if !matches!(self.format, ClockFormat::Unit(_)) {
             return Ok(());
         }
         // Times since 1970 are 1.7 x 10^9 s.
@@ -97,14 +103,10 @@ impl Clock {
     }
 
     pub(super) fn read(&mut self, row: &CsvRow<'_>) -> Result<f64, RecordingError> {
-        if self.format == ClockFormat::Unknown {
+        if mem::take(&mut self.is_first) {
             self.detect(row)?;
         }
         let text = row.text(self.column.index);
-        if self.format == ClockFormat::Stated && self.is_first && parse_iso_s(text).is_some() {
-            self.format = ClockFormat::Iso;
-        }
-        self.is_first = false;
         if self.format == ClockFormat::Iso && !text.is_empty() {
             let wrong = || row.reject(&self.column.name, ColumnProblem::NotATime { found: excerpt(text) });
             return parse_iso_s(text).map_or_else(wrong, Ok);
@@ -118,28 +120,36 @@ impl Clock {
         }
     }
 
-    /// Returns the row's time in seconds; `None` if it is not later than the last.
-    pub(super) fn tick(&mut self, row: &CsvRow<'_>) -> Result<Option<f64>, RecordingError> {
-        let found_s = self.read(row)?;
+    /// Returns whether a row's time is so far before the last that another recording begins, and counts such places.
+    pub(super) fn starts_anew(&mut self, row: &CsvRow<'_>, found_s: f64) -> bool {
+        let Some(before_s) = self.last_s.filter(|last_s| found_s < last_s - MIN_RESTART_S) else { return false };
+        let before = format!("{}: the time starts anew here ({found_s} s after {before_s} s); of ", self.column.name);
+        row.count(&mut self.restarts, || Omission::counted(before, 0, " such places each begins another recording"));
+        true
+    }
+
+    /// Returns whether a row's time is later than the last, and counts those that are not.
+    pub(super) fn advance(&mut self, row: &CsvRow<'_>, found_s: f64) -> bool {
         if let Some(before_s) = self.last_s
             && round_to_milli(found_s) <= round_to_milli(before_s)
         {
-            let column = self.column.name.clone();
-            let first = Omission::NonIncreasingTime { column, count: 0, before_s, found_s };
-            self.not_later.get_or_insert_with(|| (row.dropped_item(first), 0)).1 += 1;
-            return Ok(None);
+            let after = " rows are not later than the row before and were left out, the first one here";
+            let first = || {
+                Omission::counted(
+                    format!("{}: ", self.column.name),
+                    0,
+                    format!("{after} ({found_s} s after {before_s} s)"),
+                )
+            };
+            row.count(&mut self.not_later, first);
+            return false;
         }
         self.last_s = Some(found_s);
-        Ok(Some(found_s))
+        true
     }
 
     pub(super) fn report(self, dropped: &mut Vec<DroppedItem>) {
-        if let Some((mut first, rows)) = self.not_later {
-            if let Omission::NonIncreasingTime { count, .. } = &mut first.omission {
-                *count = rows;
-            }
-            dropped.push(first);
-        }
+        dropped.extend(self.not_later.into_iter().chain(self.restarts));
     }
 }
 
@@ -183,6 +193,8 @@ pub(super) struct Series {
     /// Line of the first missing value, and number of missing values.
     missing: Option<(u64, usize)>,
     impossible: Option<ImpossibleValues>,
+    /// Line of the first unusual speed, and the largest speed.
+    unusual: Option<(u64, f64)>,
 }
 
 struct ImpossibleValues {
@@ -194,7 +206,7 @@ struct ImpossibleValues {
 
 impl Series {
     pub(super) fn new(column: CsvColumn, quantity: ColumnQuantity) -> Self {
-        Self { column, quantity, values: Vec::new(), missing: None, impossible: None }
+        Self { column, quantity, values: Vec::new(), missing: None, impossible: None, unusual: None }
     }
 
     /// Returns the row's value, if there is a possible one.
@@ -209,6 +221,11 @@ impl Series {
             return Ok(None);
         };
         if self.quantity.allows(value) {
+            let is_speed = matches!(self.quantity, ColumnQuantity::Speed | ColumnQuantity::SignedSpeed);
+            if is_speed && value.abs() > MAX_USUAL_SPEED_MPS {
+                let (_, largest_mps) = self.unusual.get_or_insert((row.line, 0.0));
+                *largest_mps = largest_mps.max(value.abs());
+            }
             return Ok(Some(value));
         }
         let first = ImpossibleValues { first_line: row.line, last_line: row.line, count: 0, worst: value };
@@ -223,19 +240,28 @@ impl Series {
 
     /// Adds missing and impossible values to `dropped`.
     pub(super) fn report(&self, path: &Path, rows: usize, dropped: &mut Vec<DroppedItem>) {
-        let item = |line, omission| DroppedItem { path: path.to_owned(), line, omission };
-        let column = || self.column.name.clone();
-        dropped.extend(
-            self.missing.map(|(line, count)| item(line, Omission::MissingValues { column: column(), count, rows })),
-        );
+        let column = &self.column.name;
+        let mut report = |line, note: String| {
+            let omission = Omission::Note(format!("{column}: {note}"));
+            dropped.push(DroppedItem { path: path.to_owned(), line, omission });
+        };
+        if let Some((line, count)) = self.missing {
+            report(line, format!("{count} of {rows} values are missing, the first one here"));
+        }
+        if let Some((line, found_mps)) = self.unusual {
+            report(line, format!("speeds up to {} m/s, {CHECK_UNIT}", format_fixed(found_mps, 1)));
+        }
         if let Some(ImpossibleValues { first_line, last_line, count, worst }) = self.impossible {
             let (what, unit) = match self.quantity {
                 ColumnQuantity::Gap => ("spacings", "m"),
                 ColumnQuantity::Length => ("lengths", "m"),
                 _ => ("speeds", "m/s"),
             };
-            let omission = Omission::ImpossibleValues { column: column(), what, unit, count, last_line, worst };
-            dropped.push(item(first_line, omission));
+            let is_all = count + self.missing.map_or(0, |(_, missing)| missing) == rows;
+            let all = if is_all { ", and no possible one: its sign or unit is probably wrong" } else { "" };
+            let worst = format_compact(worst);
+            let place = format!("the first one here, the last one on line {last_line}, the worst {worst} {unit}");
+            report(first_line, format!("{count} impossible {what}, {place}{all}"));
         }
     }
 }

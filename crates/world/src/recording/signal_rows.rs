@@ -25,8 +25,8 @@ pub(super) struct ResampledSignals {
 }
 
 impl ResampledSignals {
-    /// Returns the rows with the names of the columns. The time of the map stands for the clocks of the groups.
-    pub(super) fn new(stream: SignalStream, map: &RecordingMapSpec) -> (Self, Fields) {
+    /// Returns the rows, and names and units of the columns. The time of the map stands for the clocks of the groups.
+    pub(super) fn new(stream: SignalStream, map: &RecordingMapSpec) -> (Self, Fields, Fields) {
         let signals = &stream.set;
         let is_base = |signal: &&Signal| map.column_role(&signal.name).is_some_and(|role| role.is_spacing);
         let base = signals.signals.iter().find(is_base).map_or(0, |signal| signal.clock);
@@ -37,8 +37,9 @@ impl ResampledSignals {
             TimeSpec::Frames(_) => (None, None),
         };
         let names = time.into_iter().chain(signals.signals.iter().map(|signal| signal.name.as_str())).collect();
+        let units = time.map(|_| "").into_iter().chain(signals.signals.iter().map(|one| one.unit.as_str())).collect();
         let last = vec![0; signals.clocks_s.len()];
-        (Self { stream, base, row: 0, row_s: None, last, is_id, time_unit_s }, names)
+        (Self { stream, base, row: 0, row_s: None, last, is_id, time_unit_s }, names, units)
     }
 
     /// Returns the value of a signal at a time, between the last time of its clock that is not later and the next.
@@ -102,6 +103,10 @@ impl BinaryRows for ResampledSignals {
             while times_s.get(*last + 1).is_some_and(|next_s| *next_s <= at_s) {
                 *last += 1;
             }
+        }
+        // A clock that starts anew has later times before the next row.
+        if let Some(last) = self.last.get_mut(self.base) {
+            *last = self.row - 1;
         }
         if let Some(unit_s) = self.time_unit_s {
             texts.push("");

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::dropped::{DroppedItem, Omission};
 use super::error::{BinaryProblem, ColumnProblem, LineProblem, RecordingError};
-use super::map::{DecimalMark, RecordingMapSpec};
+use super::map::{DecimalMark, RecordingMapSpec, factor_by_name};
 use super::number::parse_number;
 use super::text::TextFormat;
 use super::text_rows::{Fields, TextRows};
@@ -18,11 +18,17 @@ pub(super) struct RowReader<'a> {
     decimals: Option<(usize, bool)>,
     /// Number of rows until reading ends.
     pub(super) rows_left: usize,
+    /// Number of samples that were read.
+    pub(super) samples: usize,
 }
 
 enum RowSource<'a> {
     Text(Box<TextRows<'a>>),
-    Binary { rows: Box<dyn BinaryRows + 'a>, names: Option<Fields> },
+    /// Rows, with the names and units of their columns until they are read.
+    Binary {
+        rows: Box<dyn BinaryRows + 'a>,
+        names: Option<(Fields, Fields)>,
+    },
 }
 
 /// Rows of a file that is no text.
@@ -32,10 +38,11 @@ pub(super) trait BinaryRows {
 }
 
 impl<'a> RowReader<'a> {
-    /// Reads rows with named columns.
-    pub(super) fn from_binary(rows: Box<dyn BinaryRows + 'a>, names: Fields, path: &'a Path) -> Self {
+    /// Reads rows whose columns have names and units.
+    pub(super) fn from_binary(rows: Box<dyn BinaryRows + 'a>, names: (Fields, Fields), path: &'a Path) -> Self {
         let rows = RowSource::Binary { rows, names: Some(names) };
-        Self { path, rows, row: CsvRow::new(path, DecimalMark::Point), decimals: None, rows_left: usize::MAX }
+        let row = CsvRow::new(path, DecimalMark::Point);
+        Self { path, rows, row, decimals: None, rows_left: usize::MAX, samples: 0 }
     }
 
     /// Detects the text format, as far as `map` does not state it.
@@ -44,12 +51,15 @@ impl<'a> RowReader<'a> {
         path: &'a Path,
         map: Option<&RecordingMapSpec>,
     ) -> Result<Self, RecordingError> {
+        if map.is_some_and(|map| map.dbc.is_some()) {
+            return Err(RecordingError::Binary { path: path.to_owned(), problem: BinaryProblem::NeedsMdf });
+        }
         let start = CsvRow { line: 1, ..CsvRow::new(path, DecimalMark::Point) };
         let rows = TextRows::new(from, |sample| TextFormat::detect(sample, map));
         let rows = rows.map_err(|error| start.io_error(error))?;
         let decimal = rows.format().decimal;
         let (rows, row) = (RowSource::Text(Box::new(rows)), CsvRow::new(path, decimal));
-        Ok(Self { path, rows, row, decimals: None, rows_left: usize::MAX })
+        Ok(Self { path, rows, row, decimals: None, rows_left: usize::MAX, samples: 0 })
     }
 
     /// Returns the text format, with the encoding of what was read so far.
@@ -98,7 +108,7 @@ impl<'a> RowReader<'a> {
                 }
             },
             RowSource::Binary { names, .. } if names.is_some() => {
-                row.fields = names.take().unwrap_or_default();
+                (row.fields, row.units) = names.take().unwrap_or_default();
                 Ok(Some(row))
             }
             RowSource::Binary { rows, .. } => {
@@ -112,15 +122,31 @@ impl<'a> RowReader<'a> {
         }
     }
 
+    /// Returns the next row, which must have a field for each column; `None` at the end of the file.
+    pub(super) fn next_sample(&mut self, names: &Fields) -> Result<Option<&CsvRow<'a>>, RecordingError> {
+        if self.next_row()?.is_none() {
+            return Ok(None);
+        }
+        let (expected, found) = (names.len(), self.row.fields.len());
+        if found != expected {
+            let column = excerpt(names.get(found.min(expected.saturating_sub(1))).unwrap_or_default());
+            return self.row.reject(&column, ColumnProblem::FieldCount { expected, found });
+        }
+        self.samples += 1;
+        Ok(Some(&self.row))
+    }
+
     /// Returns the row that was read last.
     pub(super) fn row(&self) -> &CsvRow<'a> {
         &self.row
     }
 
     /// Rejects a recording without samples, and reports a row that the end of the file cuts off.
-    pub(super) fn check_samples(&self, rows: usize, dropped: &mut Vec<DroppedItem>) -> Result<(), RecordingError> {
-        dropped.extend(self.row.is_cut.then(|| self.row.dropped_item(Omission::CutRow)));
-        if rows == 0 { self.reject_cut_short("its first sample") } else { Ok(()) }
+    pub(super) fn check_samples(&self, dropped: &mut Vec<DroppedItem>) -> Result<(), RecordingError> {
+        dropped.extend(self.row.is_cut.then(|| {
+            self.row.dropped_item(Omission::Note("the file ends within this line, so it was left out".to_owned()))
+        }));
+        if self.samples == 0 { self.reject_cut_short("its first sample") } else { Ok(()) }
     }
 
     pub(super) fn reject_cut_short<T>(&self, expected: &'static str) -> Result<T, RecordingError> {
@@ -135,6 +161,8 @@ pub(super) struct CsvRow<'a> {
     /// Line of a text; row of any other file.
     pub(super) line: u64,
     pub(super) fields: Fields,
+    /// Units of the columns, beside their names, if the file states them.
+    units: Fields,
     /// Numbers of a row that is no text.
     numbers: Vec<f64>,
     /// True if the last field may lack its end.
@@ -143,7 +171,8 @@ pub(super) struct CsvRow<'a> {
 
 impl<'a> CsvRow<'a> {
     fn new(path: &'a Path, decimal: DecimalMark) -> Self {
-        Self { path, decimal, line: 0, fields: Fields::default(), numbers: Vec::new(), is_cut: false }
+        let (fields, units) = Default::default();
+        Self { path, decimal, line: 0, fields, units, numbers: Vec::new(), is_cut: false }
     }
 
     pub(super) fn text(&self, index: usize) -> &str {
@@ -174,6 +203,7 @@ impl<'a> CsvRow<'a> {
             Some(number) if number.is_nan() => Ok(None),
             _ => {
                 let hint = match self.decimal {
+                    _ if !text.contains(['.', ',']) => "",
                     DecimalMark::Point if parse_number(text, DecimalMark::Comma).is_some() => {
                         "; set decimal = \"comma\" in the map for decimal commas"
                     }
@@ -184,6 +214,16 @@ impl<'a> CsvRow<'a> {
                 };
                 self.reject(&column.name, ColumnProblem::NotANumber { found: excerpt(text), hint })
             }
+        }
+    }
+
+    /// Returns the column at a place of a row of names. Without `factor`, its unit is that in the file.
+    pub(super) fn column(&self, index: usize, factor: Option<f64>) -> Result<CsvColumn, RecordingError> {
+        let name = excerpt(self.fields.get(index).unwrap_or_default());
+        let unit = self.units.get(index).unwrap_or_default();
+        match factor.or_else(|| if is_missing(unit) { Some(1.0) } else { factor_by_name(unit) }) {
+            Some(factor) => Ok(CsvColumn { name, index, factor }),
+            None => self.reject(&name, ColumnProblem::UnknownUnit { unit: excerpt(unit) }),
         }
     }
 
@@ -199,9 +239,21 @@ impl<'a> CsvRow<'a> {
         Err(RecordingError::Line { path: self.path.to_owned(), line: self.line, problem })
     }
 
+    /// Counts an omission whose first occurrence, with count 0, is `first`.
+    pub(super) fn count(&self, found: &mut Option<DroppedItem>, first: impl FnOnce() -> Omission) {
+        let item = found.get_or_insert_with(|| self.dropped_item(first()));
+        item.omission.add(1);
+    }
+
     pub(super) fn dropped_item(&self, what: Omission) -> DroppedItem {
         DroppedItem { path: self.path.to_owned(), line: self.line, omission: what }
     }
+}
+
+/// Returns whether a text stands for a missing value.
+pub(super) fn is_missing(text: &str) -> bool {
+    const MARKS: [&str; 7] = ["", "-", "nan", "na", "n/a", "none", "null"];
+    text.len() <= 4 && MARKS.iter().any(|mark| text.eq_ignore_ascii_case(mark))
 }
 
 /// Returns the beginning of a text, on one line.
@@ -224,10 +276,10 @@ pub(super) struct CsvColumn {
 }
 
 impl CsvColumn {
-    pub(super) fn find(names: &CsvRow<'_>, name: &str, factor: f64) -> Result<Self, RecordingError> {
+    pub(super) fn find(names: &CsvRow<'_>, name: &str, factor: Option<f64>) -> Result<Self, RecordingError> {
         let mut found = names.fields.iter().enumerate().filter(|(_, known)| *known == name);
         match (found.next(), found.next()) {
-            (Some((index, _)), None) => Ok(Self { name: excerpt(name), index, factor }),
+            (Some((index, _)), None) => names.column(index, factor),
             (Some(_), Some(_)) => names.reject(&excerpt(name), ColumnProblem::Repeated),
             (None, _) => {
                 let known = excerpt(&names.fields.iter().collect::<Vec<_>>().join(", "));
@@ -237,24 +289,23 @@ impl CsvColumn {
     }
 }
 
-/// Counts rows, and rejects those without a field for each column.
-pub(super) struct RowCounter<'h> {
-    names: &'h Fields,
-    pub(super) rows: usize,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
 
-impl<'h> RowCounter<'h> {
-    pub(super) fn new(names: &'h Fields) -> Self {
-        Self { names, rows: 0 }
-    }
-
-    pub(super) fn check_row(&mut self, row: &CsvRow<'_>) -> Result<(), RecordingError> {
-        let (expected, found) = (self.names.len(), row.fields.len());
-        if found != expected {
-            let column = excerpt(self.names.get(found.min(expected.saturating_sub(1))).unwrap_or_default());
-            return row.reject(&column, ColumnProblem::FieldCount { expected, found });
+    #[test]
+    fn units_in_the_file_hold_unless_the_map_states_them() {
+        for (in_file, in_map, expected) in [
+            ("km/h", None, Some(1.0 / 3.6)),
+            ("km/h", Some(1.0), Some(1.0)),
+            ("m/s²", None, Some(1.0)),
+            ("", None, Some(1.0)),
+            ("furlong", None, None),
+        ] {
+            let (fields, units) = (["v"].into_iter().collect(), [in_file].into_iter().collect());
+            let names = CsvRow { fields, units, ..CsvRow::new(Path::new("a.mf4"), DecimalMark::Point) };
+            let column = CsvColumn::find(&names, "v", in_map);
+            assert_eq!(column.map(|column| column.factor).ok(), expected, "{in_file}");
         }
-        self.rows += 1;
-        Ok(())
     }
 }

@@ -1,6 +1,6 @@
 //! Division of recorded pairs where the sensor switches to another target.
 
-use super::dropped::Omission;
+use super::dropped::{Omission, format_fixed};
 
 /// Change of a gap that no noise explains, in metres.
 const MIN_SWITCH_M: f64 = 1.5;
@@ -42,12 +42,16 @@ impl PairSamples {
         let found = self.switches();
         for &GapChange { to, seconds, change_m, driven_m } in &found {
             let first = || {
-                let omission = Omission::TargetSwitches { change_m, driven_m, seconds, count: 0 };
+                let [change_m, driven_m] = [change_m, driven_m].map(|metres| format_fixed(metres, 1));
+                let before = format!(
+                    "the gap changes by {change_m} m within {} s here, but the speeds by {driven_m} m: the sensor \
+                     switched to another target; of ",
+                    format_fixed(seconds, 2)
+                );
+                let omission = Omission::counted(before, 0, " such places each begins another pair");
                 (self.line.get(to).copied().unwrap_or(0), omission)
             };
-            if let (_, Omission::TargetSwitches { count, .. }) = switches.get_or_insert_with(first) {
-                *count += 1;
-            }
+            switches.get_or_insert_with(first).1.add(1);
         }
         let mut parts = Vec::new();
         for GapChange { to, .. } in found.into_iter().rev() {

@@ -1,6 +1,5 @@
 //! Synthetic recordings in the formats of the published ones.
 
-use std::io;
 use std::path::Path;
 
 use super::*;
@@ -133,8 +132,12 @@ fn unusable_files_name_line_and_column() {
     for (bytes, expected) in [
         (names, "a.csv:1: gap_m: there is no such column among `event, time_s`"),
         (half_letter, "a.csv:1: is not text in UTF-16LE"),
+        (
+            b"PK\x03\x04".to_vec(),
+            "a.csv: this is a ZIP archive or an Excel workbook: export the recording as CSV, Parquet or MDF 4",
+        ),
     ] {
-        let message = read(&bytes[..], Path::new("a.csv"), None).expect_err("not text").to_string();
+        let message = read(&bytes, Path::new("a.csv"), None).expect_err("not text").to_string();
         assert_eq!(message, expected);
     }
     let folder = tempfile::tempdir().expect("temporary folder");
@@ -147,7 +150,7 @@ fn unusable_files_name_line_and_column() {
 
 #[test]
 fn recordings_too_large_for_memory_are_refused() {
-    let endless = read(io::repeat(b'7'), Path::new("a.csv"), None).expect_err("endless line").to_string();
+    let endless = read(&[b'7'; 2 << 20], Path::new("a.csv"), None).expect_err("endless line").to_string();
     assert!(endless.contains("a line of more than"), "{endless}");
     let columns: String = (1..=201).map(|k| format!(",Speed{k}")).collect();
     let message = error_of(&format!("{HEADER}Time{columns}\n"));
@@ -175,10 +178,13 @@ fn each_car_following_event_is_a_platoon_of_two() {
 /// Concatenated files restart their events at time 0.
 #[test]
 fn an_event_that_begins_anew_is_another_one() {
-    let rows = "1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n2,0.0,5,1,0,1\n1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n";
+    let rows =
+        "1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n2,0.0,5,1,0,1\n1,0.0,5,1,0,1\n1,9.1,5,1,0,1\n1,0.0,5,1,0,1\n1,0.1,5,1,0,1\n";
     let recording = read_text(&format!("{EVENTS}{rows}")).expect("readable");
     let events: Vec<_> = recording.platoons.iter().map(|platoon| platoon.event.as_deref()).collect();
-    assert_eq!(events, [Some("1"), Some("2"), Some("1")]);
+    assert_eq!(events, [Some("1"), Some("2"), Some("1"), Some("1")]);
+    let message = "a.csv:7: time_s: the time starts anew here (0 s after 9.1 s); of 1 such places each begins another";
+    assert!(recording.dropped[0].to_string().starts_with(message), "{:?}", recording.dropped);
 }
 
 #[test]

@@ -8,13 +8,13 @@ use super::acceleration::AccelerationCheck;
 use super::consistency::{Comparison, Hypothesis};
 use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, LineProblem, RecordingError};
-use super::map::{LengthSpec, LengthUnit, RecordingMapSpec, SpeedUnit, TracksSpec};
+use super::map::{LengthSpec, LengthUnit, RecordingMapSpec, SpeedUnit, TimeSpec, TracksSpec};
 use super::parts::{ALL_TIMES, MAX_POINTS, PART_ROWS, PartBounds, PartSink};
 use super::series::{Clock, ColumnQuantity, Series};
 use super::spill::SpilledPoints;
-use super::table::{CsvColumn, CsvRow, RowCounter, RowReader, excerpt};
+use super::table::{CsvColumn, CsvRow, RowReader, excerpt, is_missing};
 use super::tracks::{self, TrackPoint, TrackRules, VehicleId};
-use super::{RecordedTraffic, Recording, RecordingFormat, TextFormat};
+use super::{RecordedTraffic, Recording, TextFormat};
 
 const MAX_LANES: usize = 10_000;
 /// Each takes about 200 bytes.
@@ -30,26 +30,27 @@ pub(super) fn read(
     each: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
     let mut clock = Clock::find(names, &map.time)?;
-    let vehicle = CsvColumn::find(names, &spec.vehicle, 1.0)?;
-    let lane = spec.lane.as_ref().map(|name| CsvColumn::find(names, name, 1.0)).transpose()?;
+    let vehicle = CsvColumn::find(names, &spec.vehicle, Some(1.0))?;
+    let lane = spec.lane.as_ref().map(|name| CsvColumn::find(names, name, Some(1.0))).transpose()?;
     let series = |name: &str, factor, quantity| Ok(Series::new(CsvColumn::find(names, name, factor)?, quantity));
-    let mut position = series(&spec.position.column, spec.position.unit.factor(), ColumnQuantity::Signed)?;
-    let mut speed = series(&spec.speed.column, spec.speed.unit.factor(), ColumnQuantity::SignedSpeed)?;
+    let mut position =
+        series(&spec.position.column, spec.position.unit.map(LengthUnit::factor), ColumnQuantity::Signed)?;
+    let mut speed = series(&spec.speed.column, spec.speed.unit.map(SpeedUnit::factor), ColumnQuantity::SignedSpeed)?;
     let (mut length, constant_m) = match &spec.length {
-        LengthSpec::Column(column) => (Some(series(&column.name, column.unit.factor(), ColumnQuantity::Length)?), 0.0),
+        LengthSpec::Column(column) => {
+            (Some(series(&column.name, column.unit.map(LengthUnit::factor), ColumnQuantity::Length)?), 0.0)
+        }
         LengthSpec::Metres(metres) => (None, *metres),
     };
     let mut acceleration = AccelerationCheck::find(names, &spec.speed)?;
     let (mut vehicles, mut lanes) = (TextIds::default(), TextIds::default());
-    let mut counter = RowCounter::new(&names.fields);
     let (mut points, mut spilled) = (Vec::new(), SpilledPoints::default());
     let path = table.path();
     let disk = |source| RecordingError::Spill { path: path.to_owned(), source };
-    while let Some(row) = table.next_row()? {
-        counter.check_row(row)?;
+    while let Some(row) = table.next_sample(&names.fields)? {
         let time_s = clock.read(row)?;
         // SUMO writes a row without values for a time without vehicles.
-        if [vehicle.index, position.column.index, speed.column.index].iter().all(|&index| row.text(index).is_empty()) {
+        if [vehicle.index, position.column.index, speed.column.index].iter().all(|&index| is_missing(row.text(index))) {
             continue;
         }
         let vehicle = vehicles.index(row, &vehicle)?;
@@ -84,14 +85,14 @@ pub(super) fn read(
         }
     }
     let mut dropped = Vec::new();
-    table.check_samples(counter.rows, &mut dropped)?;
+    table.check_samples(&mut dropped)?;
     let accelerations = acceleration.as_ref().map(|one| &one.series);
     for series in [Some(&position), Some(&speed), length.as_ref(), accelerations].into_iter().flatten() {
-        series.report(path, counter.rows, &mut dropped);
+        series.report(path, table.samples, &mut dropped);
     }
     let time = (clock.column.factor, clock.detected());
-    let mut parts =
-        TrafficParts { table, map, spec, time, acceleration, vehicles: vehicles.into_vehicles().into(), dropped };
+    let (columns, vehicles) = ([position.column, speed.column], vehicles.into_vehicles().into());
+    let mut parts = TrafficParts { table, map, spec, columns, time, acceleration, vehicles, dropped };
     if spilled.is_empty() {
         each(parts.part(points, ALL_TIMES)?)?;
         return Ok(());
@@ -125,6 +126,8 @@ struct TrafficParts<'t, 'p> {
     table: &'t RowReader<'p>,
     map: &'t RecordingMapSpec,
     spec: &'t TracksSpec,
+    /// Columns of positions and of speeds.
+    columns: [CsvColumn; 2],
     /// Size of the unit of time in seconds, and detected format.
     time: (f64, Option<&'static str>),
     acceleration: Option<AccelerationCheck>,
@@ -136,21 +139,22 @@ struct TrafficParts<'t, 'p> {
 impl TrafficParts<'_, '_> {
     /// Builds the tracks of a part, whose margins lie outside of the core.
     fn part(&mut self, mut points: Vec<TrackPoint>, core_ms: Range<i64>) -> Result<Recording, RecordingError> {
-        let Self { table, map, spec, acceleration, .. } = self;
+        let Self { table, map, spec, columns, acceleration, .. } = self;
         let path = table.path();
         points.iter_mut().for_each(|point| point.is_margin = !core_ms.contains(&point.time_ms));
         let mut dropped = std::mem::take(&mut self.dropped);
         let item = |line, omission| DroppedItem { path: path.to_owned(), line, omission };
         if let Some((first, count)) = tracks::sort(&mut points) {
             let vehicle = tracks::label(&self.vehicles, first.vehicle);
-            dropped.push(item(first.line, Omission::DuplicateRows { vehicle, count }));
+            let before = format!("vehicle {vehicle} is in two places at once here; of ");
+            dropped.push(item(first.line, Omission::counted(before, count, " such rows each first one is kept")));
         }
         let rules = TrackRules {
             vehicle_column: &spec.vehicle,
             reference: spec.position.of,
             interpolate_s: map.interpolate_s,
             lane_blip_s: spec.lane_blip_s,
-            speeds_agree: check(table, (map, spec), (&points, self.time.0), &mut dropped)?,
+            speeds_agree: check(table, columns, (&points, &map.time, self.time.0), &mut dropped)?,
         };
         if let Some(acceleration) = acceleration {
             for vehicle in points.chunk_by(|a, b| a.vehicle == b.vehicle) {
@@ -171,7 +175,7 @@ impl TrafficParts<'_, '_> {
         dropped.extend(omissions.into_iter().map(|(line, omission)| item(line, omission)));
         Ok(Recording {
             path: path.to_owned(),
-            format: RecordingFormat::from_map(map),
+            format: map.name.clone(),
             text: TextFormat { time: self.time.1, ..table.format() },
             platoons: Vec::new(),
             traffic: Some(traffic),
@@ -183,8 +187,8 @@ impl TrafficParts<'_, '_> {
 /// Compares sorted positions with speeds. Returns whether they agree.
 fn check(
     table: &RowReader<'_>,
-    (map, spec): (&RecordingMapSpec, &TracksSpec),
-    (points, time_factor): (&[TrackPoint], f64),
+    [position, speed]: &[CsvColumn; 2],
+    (points, time, time_factor): (&[TrackPoint], &TimeSpec, f64),
     dropped: &mut Vec<DroppedItem>,
 ) -> Result<bool, RecordingError> {
     let mut comparison = Comparison::undirected();
@@ -195,13 +199,11 @@ fn check(
             comparison.add((point.time_ms as f64 / 1000.0, point.line), point.position_m, speed_mps);
         }
     }
-    let (position, speed) = (&spec.position, &spec.speed);
-    let speeds = Hypothesis::units(&speed.column, (SpeedUnit::ALL, speed.unit.factor()), [false, true, false]);
-    let lengths = (LengthUnit::ALL, position.unit.factor());
-    let positions = Hypothesis::units(&position.column, lengths, [true, false, false]);
-    let hypotheses: Vec<_> = speeds.chain(positions).chain(Hypothesis::times(&map.time, time_factor)).collect();
-    let change = format!("the change of {}", position.column);
-    comparison.check(table, &speed.column, [&change, &speed.column], (&hypotheses, dropped))
+    let speeds = Hypothesis::units(&speed.name, (SpeedUnit::ALL, speed.factor), [false, true, false]);
+    let positions = Hypothesis::units(&position.name, (LengthUnit::ALL, position.factor), [true, false, false]);
+    let hypotheses: Vec<_> = speeds.chain(positions).chain(Hypothesis::times(time, time_factor)).collect();
+    let change = format!("the change of {}", position.name);
+    comparison.check(table, &speed.name, [&change, &speed.name], (&hypotheses, dropped))
 }
 
 /// Texts, numbered in order of appearance.
@@ -215,11 +217,11 @@ struct TextIds {
 impl TextIds {
     fn index(&mut self, row: &CsvRow<'_>, column: &CsvColumn) -> Result<u32, RecordingError> {
         let text = row.text(column.index);
-        if text.is_empty() {
-            return row.reject(&column.name, ColumnProblem::Empty);
-        }
-        if self.last.0 == text {
+        if self.last.0 == text && !text.is_empty() {
             return Ok(self.last.1);
+        }
+        if is_missing(text) {
+            return row.reject(&column.name, ColumnProblem::Empty);
         }
         self.last.0.clear();
         self.last.0 += text;

@@ -64,7 +64,10 @@ fn impossible_values_are_excluded_and_reported() {
         "times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows no vehicle then";
     assert_eq!(message(TRACKS), [doubled.to_owned(), format!("a.csv:4: 2 {overlap}")]);
     let filled = TRACKS.replace("lines_before", "interpolate_s = 0.3\nlines_before");
-    assert_eq!(message(&filled)[1], "a.csv:6: id: 2 missing values were filled by straight lines, the first one here");
+    assert_eq!(
+        message(&filled)[1],
+        "a.csv:6: 2 missing values of id were filled by straight lines, the first one here"
+    );
     for (good, bad, expected) in [
         ("0;1;", "0;;", "a.csv:3: id: must not be empty"),
         ("0;1;", ";1;", "a.csv:3: frame: must not be empty"),
@@ -110,7 +113,7 @@ fn no_following_across_an_unknown_vehicle() {
         first.segments()[0].iter().map(numbers).collect()
     };
     assert_eq!(behind(&read_with(&text(&whole), TRACKS)), [[2, 3], [2, 3], [2, 3]]);
-    let cannot = "times the position or the length of a vehicle is not known, the first time here: no vehicle follows \
+    let cannot = "once the position or the length of a vehicle is not known, the first time here: no vehicle follows \
     it, or a vehicle beyond it, then";
     let filled = TRACKS.replace("lines_before", "interpolate_s = 0.3\nlines_before");
     for (field, with, message) in [
@@ -130,11 +133,15 @@ fn no_following_across_an_unknown_vehicle() {
         let recording = read_with(&damaged(field, with), TRACKS);
         assert_eq!(behind(&recording), [vec![2, 3], vec![], vec![2, 3]], "{field} {with}");
         let dropped: Vec<_> = recording.dropped.iter().map(DroppedItem::to_string).collect();
-        assert_eq!(dropped, [message.to_owned(), format!("a.csv:7: 1 {cannot}")]);
+        assert_eq!(dropped, [message.to_owned(), format!("a.csv:7: {cannot}")]);
         // The map can fill such holes.
         let recording = read_with(&damaged(field, with), &filled);
         assert_eq!(behind(&recording), [[2, 3], [2, 3], [2, 3]], "{field} {with}");
-        assert!(recording.dropped[1].to_string().contains("1 missing values were filled"), "{:?}", recording.dropped);
+        assert!(
+            recording.dropped[1].to_string().contains("1 missing values of id were filled"),
+            "{:?}",
+            recording.dropped
+        );
     }
     // An impossible speed is reported, and ends the line of vehicles there.
     let recording = read_with(&damaged(2, "-1e300"), TRACKS);
@@ -142,6 +149,12 @@ fn no_following_across_an_unknown_vehicle() {
     let [message] = &recording.dropped[..] else { panic!("{:?}", recording.dropped) };
     let worst = "a.csv:7: v: 1 impossible speeds, the first one here, the last one on line 7, the worst -2.7";
     assert!(message.to_string().starts_with(worst) && message.to_string().ends_with("e299 m/s"), "{message}");
-    let error = read(damaged(0, "").as_bytes(), Path::new("a.csv"), Some(&map(TRACKS))).expect_err("in no lane");
-    assert_eq!(error.to_string(), "a.csv:7: lane: must not be empty");
+    for mark in ["", "-", "NaN", "NA", "None", "null"] {
+        let lost = damaged(0, mark);
+        let nameless = lost.replace(&format!("1;2;{mark};"), &format!("1;{mark};1;"));
+        for (text, column) in [(lost, "lane"), (nameless, "id")] {
+            let error = read(text.as_bytes(), Path::new("a.csv"), Some(&map(TRACKS))).expect_err("in no lane");
+            assert_eq!(error.to_string(), format!("a.csv:7: {column}: must not be empty"), "{mark}");
+        }
+    }
 }

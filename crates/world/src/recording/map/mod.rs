@@ -8,6 +8,8 @@ use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
+pub(in crate::recording) use units::{factor_by_name, plain_unit};
+
 pub use built_in::{BUILT_IN_MAPS, RecordingMap};
 pub use units::{
     AccelerationUnit, DecimalMark, Delimiter, LengthUnit, ReferencePoint, Sign, Spacing, SpeedUnit, TimeUnit,
@@ -189,9 +191,9 @@ fn default_lane_blip_s() -> f64 {
 pub struct SpeedSpec {
     /// Name of the column.
     pub column: String,
-    /// Unit. Default: m/s.
-    #[serde(default)]
-    pub unit: SpeedUnit,
+    /// Unit. Default: that in the file, or m/s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<SpeedUnit>,
     /// Column of the accelerations, which only checks the speeds. Default: none.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub acceleration: Option<AccelerationSpec>,
@@ -204,9 +206,9 @@ pub struct SpeedSpec {
 pub struct AccelerationSpec {
     /// Name of the column.
     pub column: String,
-    /// Unit. Default: m/s2.
-    #[serde(default)]
-    pub unit: AccelerationUnit,
+    /// Unit. Default: that in the file, or m/s2.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<AccelerationUnit>,
 }
 
 /// A column of speed differences.
@@ -216,9 +218,9 @@ pub struct AccelerationSpec {
 pub struct RelativeSpeedSpec {
     /// Name of the column.
     pub column: String,
-    /// Unit. Default: m/s.
-    #[serde(default)]
-    pub unit: SpeedUnit,
+    /// Unit. Default: that in the file, or m/s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<SpeedUnit>,
     /// Sign of the difference. Default: leader minus follower, negative when the gap closes.
     #[serde(default)]
     pub sign: Sign,
@@ -231,9 +233,9 @@ pub struct RelativeSpeedSpec {
 pub struct SpacingSpec {
     /// Name of the column.
     pub column: String,
-    /// Unit. Default: metres.
-    #[serde(default)]
-    pub unit: LengthUnit,
+    /// Unit. Default: that in the file, or metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<LengthUnit>,
     /// Reference points. Default: bumper to bumper.
     #[serde(default)]
     pub from: Spacing,
@@ -246,9 +248,9 @@ pub struct SpacingSpec {
 pub struct PositionSpec {
     /// Name of the column.
     pub column: String,
-    /// Unit. Default: metres.
-    #[serde(default)]
-    pub unit: LengthUnit,
+    /// Unit. Default: that in the file, or metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<LengthUnit>,
     /// Reference point of the vehicle.
     pub of: ReferencePoint,
 }
@@ -271,9 +273,9 @@ pub enum LengthSpec {
 pub struct LengthColumnSpec {
     /// Name of the column.
     pub name: String,
-    /// Unit. Default: metres.
-    #[serde(default)]
-    pub unit: LengthUnit,
+    /// Unit. Default: that in the file, or metres.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub unit: Option<LengthUnit>,
 }
 
 /// Returns the JSON Schema of maps.

@@ -17,9 +17,7 @@ macro_rules! units {
 
             /// Returns the size of the unit in metric units.
             pub(in crate::recording) fn factor(self) -> f64 {
-                match self {
-                    $(Self::$unit => $factor,)*
-                }
+                Self::ALL[self as usize].1
             }
         }
     };
@@ -78,6 +76,24 @@ units! {
         FeetPerSecondSquared = "ft/s2": 0.3048;
         /// Standard gravity.
         Gravity = "g": 9.806_65;
+    }
+}
+
+/// Returns the size of a unit of speed, length or acceleration, by its name in a file.
+pub(in crate::recording) fn factor_by_name(name: &str) -> Option<f64> {
+    let plain = name.trim().to_lowercase().replace('²', "2").replace('^', "");
+    let mut all = [SpeedUnit::ALL, LengthUnit::ALL, AccelerationUnit::ALL].into_iter().flatten();
+    all.find(|(unit, _)| *unit == plain_unit(&plain)).map(|(_, factor)| *factor)
+}
+
+/// Returns the name of a unit in maps, for another name of it in lower case.
+pub(in crate::recording) fn plain_unit(name: &str) -> &str {
+    match name {
+        "kph" | "kmh" => "km/h",
+        "mps" => "m/s",
+        "fps" => "ft/s",
+        "feet" => "ft",
+        other => other,
     }
 }
 

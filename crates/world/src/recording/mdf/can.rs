@@ -127,6 +127,10 @@ impl DbcFile {
                         format!("signal {} goes beyond the {} bytes of its message", signal.name, message.size);
                     return Err(self.error(message, Some(&signal.name), problem));
                 }
+                if signal.factor == 0.0 {
+                    let problem = format!("signal {} has the factor 0", signal.name);
+                    return Err(self.error(message, Some(&signal.name), problem));
+                }
                 // Frames without the signal, by a multiplexer, have no place in its clock.
                 let clock = signals.add_clock();
                 let index = signals.add(name, signal.unit.clone(), clock);

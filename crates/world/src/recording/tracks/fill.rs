@@ -8,8 +8,9 @@ const OPTIONAL_FIELDS: [fn(&mut TrackPoint) -> &mut Option<f64>; 3] =
     [|point| &mut point.position_m, |point| &mut point.speed_mps, |point| &mut point.length_m];
 
 /// Fills holes of at most `longest_s` by interpolation: missing numbers, and missing points between two points of a
-/// track in one lane. Returns the line of the first filled hole and the number of filled values. The error is the line
-/// at which there are too many points.
+/// track in one lane. Vehicles whose rows have different times get points at common times instead of their rows.
+/// Returns the line of the first filled hole and the number of filled values. The error is the line at which there are
+/// too many points.
 pub(super) fn fill_holes(points: &mut Vec<TrackPoint>, longest_s: f64) -> Result<Occurrences, u64> {
     let longest_ms = to_ms(longest_s);
     let steps = points.windows(2).filter_map(|pair| match pair {
@@ -30,34 +31,56 @@ pub(super) fn fill_holes(points: &mut Vec<TrackPoint>, longest_s: f64) -> Result
             }
         }
     }
-    let mut filled: Vec<TrackPoint> = Vec::new();
-    for pair in points.windows(2) {
-        let [a, b] = pair else { continue };
-        let hole_ms = b.time_ms - a.time_ms;
-        if (a.track, a.lane) != (b.track, b.lane) || hole_ms > longest_ms {
+    let times_ms = common_times_ms(points, step_ms, longest_ms);
+    let mut filled: Vec<TrackPoint> = Vec::with_capacity(points.len());
+    let mut before: Option<TrackPoint> = None;
+    for b in points.drain(..) {
+        let is_hole = |a: &TrackPoint| (a.track, a.lane) == (b.track, b.lane) && b.time_ms - a.time_ms <= longest_ms;
+        let from = before.replace(b).filter(is_hole);
+        if let Some(a) = from {
+            let after = times_ms.partition_point(|time_ms| *time_ms <= a.time_ms);
+            for &time_ms in times_ms.iter().skip(after).take_while(|time_ms| **time_ms < b.time_ms) {
+                let share = (time_ms - a.time_ms) as f64 / (b.time_ms - a.time_ms) as f64;
+                let between = |a: Option<f64>, b: Option<f64>| a.zip(b).map(|(a, b)| a + (b - a) * share);
+                filled.push(TrackPoint {
+                    time_ms,
+                    position_m: between(a.position_m, b.position_m),
+                    speed_mps: between(a.speed_mps, b.speed_mps),
+                    length_m: between(a.length_m, b.length_m),
+                    ..a
+                });
+                found.get_or_insert((a.line, 0)).1 += 1;
+            }
+        }
+        // Without it, a vehicle whose rows are too far apart would not be absent in between.
+        if from.is_none() || times_ms.binary_search(&b.time_ms).is_ok() {
+            filled.push(b);
+        }
+        if filled.len() > MAX_POINTS {
+            return Err(b.line);
+        }
+    }
+    *points = filled;
+    Ok(found)
+}
+
+/// Returns the times of all rows, without those less than half a step after another, and with those that all vehicles
+/// miss for at most `longest_ms`.
+fn common_times_ms(points: &[TrackPoint], step_ms: i64, longest_ms: i64) -> Vec<i64> {
+    let mut rows_ms: Vec<i64> = points.iter().map(|point| point.time_ms).collect();
+    rows_ms.sort_unstable();
+    let mut times_ms: Vec<i64> = Vec::new();
+    for row_ms in rows_ms {
+        let hole_ms = times_ms.last().map_or(i64::MAX, |last_ms| row_ms - last_ms);
+        if 2 * hole_ms.min(step_ms) < step_ms {
             continue;
         }
-        // Frame intervals are not whole milliseconds at some rates.
-        let parts = (hole_ms + step_ms / 2) / step_ms;
-        for part in 1..parts {
-            let share = part as f64 / parts as f64;
-            let between = |a: f64, b: f64| a + (b - a) * share;
-            filled.push(TrackPoint {
-                time_ms: between(a.time_ms as f64, b.time_ms as f64).round() as i64,
-                position_m: a.position_m.zip(b.position_m).map(|(a, b)| between(a, b)),
-                speed_mps: a.speed_mps.zip(b.speed_mps).map(|(a, b)| between(a, b)),
-                length_m: a.length_m.zip(b.length_m).map(|(a, b)| between(a, b)),
-                ..*a
-            });
+        if hole_ms <= longest_ms {
+            // Frame intervals are not whole milliseconds at some rates.
+            let parts = (hole_ms + step_ms / 2) / step_ms;
+            times_ms.extend((1..parts).map(|part| row_ms - hole_ms + (2 * hole_ms * part + parts) / (2 * parts)));
         }
-        if points.len() + filled.len() > MAX_POINTS {
-            return Err(a.line);
-        }
+        times_ms.push(row_ms);
     }
-    if let Some(TrackPoint { line, .. }) = filled.first() {
-        found.get_or_insert((*line, 0)).1 += filled.len();
-    }
-    points.append(&mut filled);
-    points.sort_unstable_by_key(|point| (point.track, point.time_ms));
-    Ok(found)
+    times_ms
 }

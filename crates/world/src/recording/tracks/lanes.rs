@@ -9,15 +9,14 @@ use super::{ReferencePoint, TrackPoint};
 const MIN_SIGNED_SPEED_MPS: f64 = 0.1;
 
 /// Replaces lane ids that a track has for less than `shortest_ms` by the lane before; at the start of a track by the
-/// lane after. Returns the first replaced point and the number of replaced intervals.
-///
-/// A track that has no lane for that long keeps its lanes.
+/// lane after. A track that has no lane for that long gets the lane of two thirds of its rows, if there is one. Returns
+/// the first replaced point and the number of replaced intervals.
 pub(super) fn remove_blips(points: &mut [TrackPoint], shortest_ms: i64) -> Option<(TrackPoint, usize)> {
     let mut found: Option<(TrackPoint, usize)> = None;
     for track in points.chunk_by_mut(|a, b| a.track == b.track) {
         let is_stable = lane_intervals(track, shortest_ms);
-        let Some(first_stable) = is_stable.iter().position(|&stable| stable) else { continue };
-        let Some(mut lane) = track.get(first_stable).map(|point| point.lane) else { continue };
+        let first_stable = track.iter().zip(&is_stable).find(|(_, stable)| **stable).map(|(point, _)| point.lane);
+        let Some(mut lane) = first_stable.or_else(|| most_common_lane(track)) else { continue };
         let mut was_blip = false;
         for (point, stable) in track.iter_mut().zip(is_stable) {
             if stable {
@@ -31,6 +30,13 @@ pub(super) fn remove_blips(points: &mut [TrackPoint], shortest_ms: i64) -> Optio
         }
     }
     found
+}
+
+/// Returns the lane of at least two thirds of the rows.
+fn most_common_lane(track: &[TrackPoint]) -> Option<u32> {
+    let mut rows: BTreeMap<u32, usize> = BTreeMap::new();
+    track.iter().for_each(|point| *rows.entry(point.lane).or_default() += 1);
+    rows.into_iter().find(|(_, rows)| 3 * rows >= 2 * track.len()).map(|(lane, _)| lane)
 }
 
 /// Returns for each point whether the track has its lane for at least `shortest_ms` around it.

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use super::super::dropped::Omission;
 use super::super::series::{ColumnQuantity, round_to_milli};
 use super::{Occurrences, TrackPoint, count, sortable};
 
@@ -11,15 +12,12 @@ const MAX_ABSENT: usize = 256;
 const BRAKE_MPS2: f64 = 8.0;
 const ACCEL_MPS2: f64 = 4.0;
 
-/// Points that could not be linked.
-pub(super) struct LinkProblems {
-    /// Overlapping vehicles.
-    pub(super) overlapping: Occurrences,
-    /// Unknown position or length.
-    pub(super) unknown_position: Occurrences,
-    /// Neighbours that may have a vehicle without a row between them.
-    pub(super) absent: Occurrences,
-}
+const UNKNOWN_POSITION: &str = " times the position or the length of a vehicle is not known, the first time here: no \
+    vehicle follows it, or a vehicle beyond it, then";
+const ABSENT: &str = " times a vehicle that has rows before and after may be between two others, the first time here: \
+    they do not follow each other then";
+const OVERLAPPING: &str = " times a vehicle overlaps the one ahead of it in its lane, the first time here: it follows \
+    no vehicle then";
 
 /// A vehicle between two of its rows, while other vehicles have rows.
 struct Absence {
@@ -66,8 +64,8 @@ impl Absence {
 
 /// Links each point with its leader and follower. A vehicle with unknown position may be anywhere in its lane, so no
 /// point of that lane at that time is linked. A vehicle with unknown length is not linked. No points are linked if a
-/// vehicle that has rows before and after may be between them.
-pub(super) fn link(points: &mut [TrackPoint]) -> LinkProblems {
+/// vehicle that has rows before and after may be between them. Appends omissions, with the line of the first one.
+pub(super) fn link(points: &mut [TrackPoint], blip_ms: i64, dropped: &mut Vec<(u64, Omission)>) {
     let row = |point: &TrackPoint| (point.time_ms, point.lane, point.position_decreases);
     let (mut unknown_position, mut unlinkable): (Occurrences, _) = (None, BTreeSet::new());
     for point in points.iter().filter(|point| point.position_m.is_none() || point.length_m.is_none()) {
@@ -80,7 +78,7 @@ pub(super) fn link(points: &mut [TrackPoint]) -> LinkProblems {
         }
     }
     let order = order_rows(points);
-    let mut to_come = absences(points, &order).into_iter().enumerate().peekable();
+    let mut to_come = absences(points, &order, blip_ms).into_iter().enumerate().peekable();
     // By the end of the absence.
     let mut absent_now: BTreeMap<(i64, usize), Absence> = BTreeMap::new();
     let (mut overlapping, mut absent) = (None, None);
@@ -116,7 +114,9 @@ pub(super) fn link(points: &mut [TrackPoint]) -> LinkProblems {
             points[front as usize].behind = Some(rear);
         }
     }
-    LinkProblems { overlapping, unknown_position, absent }
+    for (found, after) in [(unknown_position, UNKNOWN_POSITION), (absent, ABSENT), (overlapping, OVERLAPPING)] {
+        dropped.extend(found.map(|(line, count): (u64, usize)| (line, Omission::counted("", count, after))));
+    }
 }
 
 /// Returns the points by time, lane and direction, and then front to rear. The low 32 bits of each key are the index of
@@ -135,8 +135,9 @@ fn order_rows(points: &[TrackPoint]) -> Vec<u128> {
     order
 }
 
-/// Returns the absences during which other vehicles have rows, in order of their starts.
-fn absences(points: &[TrackPoint], order: &[u128]) -> Vec<Absence> {
+/// Returns the absences during which other vehicles have rows, in order of their starts. A vehicle is also absent from
+/// a lane that it leaves for at most `blip_ms`.
+fn absences(points: &[TrackPoint], order: &[u128], blip_ms: i64) -> Vec<Absence> {
     let mut instants: Vec<u64> = order.iter().map(|key| (key >> 64) as u64).collect();
     instants.dedup();
     let mut absences = Vec::new();
@@ -144,7 +145,13 @@ fn absences(points: &[TrackPoint], order: &[u128]) -> Vec<Absence> {
         let mut known = track.iter().filter(|point| point.position_m.is_some());
         let Some(mut a) = known.next() else { continue };
         let mut next = instants.partition_point(|&instant| instant <= sortable(a.time_ms));
+        let mut left: BTreeMap<u32, &TrackPoint> = BTreeMap::new();
         for b in known {
+            if a.lane != b.lane {
+                left.insert(a.lane, a);
+                let before = left.get(&b.lane).filter(|before| b.time_ms - before.time_ms <= blip_ms);
+                absences.extend(before.map(|before| Absence::new(before, b)));
+            }
             if instants.get(next).is_some_and(|&instant| instant < sortable(b.time_ms)) {
                 absences.push(Absence::new(a, b));
             }

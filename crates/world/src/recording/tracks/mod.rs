@@ -136,20 +136,22 @@ impl RecordedTraffic {
         dropped: &mut Vec<(u64, Omission)>,
     ) -> Result<Self, u64> {
         if let Some((first, count)) = split::split(&mut points, rules.speeds_agree) {
-            dropped.push((first.line, Omission::TracksSplit { vehicle: label(&vehicles, first.vehicle), count }));
+            let vehicle = label(&vehicles, first.vehicle);
+            let before =
+                format!("the position of vehicle {vehicle} starts anew here, or another vehicle has its id; of ");
+            dropped.push((first.line, Omission::counted(before, count, " such places each begins another track")));
         }
         if let Some((first, count)) = lanes::remove_blips(&mut points, to_ms(rules.lane_blip_s)) {
             let (vehicle, limit_s) = (label(&vehicles, first.vehicle), rules.lane_blip_s);
-            dropped.push((first.line, Omission::LaneBlips { vehicle, count, limit_s }));
+            let before = format!("vehicle {vehicle} has another lane for less than {limit_s} s here; ");
+            dropped
+                .push((first.line, Omission::counted(before, count, " such blips, in which vehicles keep their lane")));
         }
         if let Some((line, count)) = fill::fill_holes(&mut points, rules.interpolate_s)? {
-            dropped.push((line, Omission::Interpolated { column: excerpt(rules.vehicle_column), count }));
+            dropped.push((line, Omission::interpolated(&excerpt(rules.vehicle_column), count)));
         }
         lanes::orient(&mut points, rules.reference, rules.speeds_agree);
-        let problems = link::link(&mut points);
-        dropped.extend(problems.unknown_position.map(|(line, count)| (line, Omission::UnknownPosition { count })));
-        dropped.extend(problems.absent.map(|(line, count)| (line, Omission::AbsentVehicles { count })));
-        dropped.extend(problems.overlapping.map(|(line, count)| (line, Omission::Overlapping { count })));
+        link::link(&mut points, to_ms(rules.lane_blip_s), dropped);
         Ok(Self { points, vehicles, core_ms })
     }
 }

@@ -100,7 +100,7 @@ proptest! {
         brakes in prop::array::uniform4((2.0..30.0_f64, 0.0..8.0_f64)),
         noise in prop::collection::vec((-0.15..0.15_f64, -0.2..0.2_f64), 4 * 4 * ROWS),
         absences in prop::collection::vec((0..16_usize, 1..ROWS - 20, 1..20_usize), 0..6),
-        blips in prop::collection::vec((0..ROWS - 4, 1..5_usize, 1..5_u32), 16),
+        blips in prop::collection::vec((0..ROWS - 4, 1..5_usize, 1..5_u32, prop::bool::ANY), 16),
     ) {
         let whole = traffic(brakes);
         let reference = links(&read_rows(&whole));
@@ -112,10 +112,13 @@ proptest! {
                 absent.insert((step, row.2));
                 continue;
             }
-            let (from, rows, lane) = blips[vehicle];
-            if (from..from + rows).contains(&step) {
-                row.2 = lane;
-            }
+            let (from, rows, lane, repeats) = blips[vehicle];
+            // An absence between two blips in a lane may be a longer time in it.
+            let is_blip = match repeats && absences.iter().all(|absence| absence.0 != vehicle) {
+                true => step % 5 == from % 5,
+                false => (from..from + rows).contains(&step),
+            };
+            row.2 = if is_blip { lane } else { row.2 };
             damaged.push((row.0, row.1, row.2, row.3 + noise.0, row.4 + noise.1, row.5));
         }
         let recording = read_rows(&damaged);
@@ -230,6 +233,17 @@ fn no_vehicle_is_linked_across_one_that_is_absent() {
 }
 
 #[test]
+fn vehicles_with_rows_at_different_times_are_linked_by_interpolation() {
+    let rows = braking(120, |step, x, mps| {
+        vec![if step % 2 == 0 { row(step, 1, 1, x, mps) } else { row(step, 2, 1, x - 20.0, mps) }]
+    });
+    let map = MAP.replace("[layout.tracks]", "interpolate_s = 0.5\n[layout.tracks]");
+    let found = links(&try_read(&text(&rows), &map).expect("readable"));
+    assert!(found.values().all(|&(leader, gap_m)| leader == 1 && (gap_m - 15.5).abs() < 0.02), "{found:?}");
+    assert_eq!(found.len(), 118);
+}
+
+#[test]
 fn columns_that_contradict_each_other_are_reported_with_the_reason() {
     let rows = braking(120, |step, x, mps| vec![row(step, 1, 1, x, mps), row(step, 2, 1, x - 20.0, mps)]);
     let error = |map: &str| try_read(&text(&rows), map).expect_err("contradicts").to_string();
@@ -242,9 +256,15 @@ fn columns_that_contradict_each_other_are_reported_with_the_reason() {
     let in_kmh = MAP.replace("column = \"v\"", "column = \"v\", unit = \"km/h\"");
     let message = try_read(&text(&in_feet), &in_kmh).expect_err("contradicts").to_string();
     assert!(message.contains("v looks like ft/s: ratio 0.91"), "{message}");
-    let in_ms: Vec<Row> = rows.iter().cloned().map(|row| (1000 * row.0, row.1, row.2, row.3, row.4, row.5)).collect();
-    let message = try_read(&text(&in_ms), MAP).expect_err("contradicts").to_string();
+    let slowed = |factor: usize| {
+        let rows = rows.iter().cloned().map(|row| (factor * row.0, row.1, row.2, row.3, row.4, row.5));
+        text(&rows.collect::<Vec<_>>())
+    };
+    let message = try_read(&slowed(1000), MAP).expect_err("contradicts").to_string();
     assert!(message.contains("t looks like ms: ratio 1000"), "{message}");
+    let frames = MAP.replace("clock = { column = \"t\"", "frames = { column = \"t\", rate_hz = 12.5");
+    let message = try_read(&slowed(10), &frames).expect_err("contradicts").to_string();
+    assert!(message.contains("t looks like 10 Hz: ratio 0.80"), "{message}");
 
     let map = |follower: &str| {
         let columns = "spacing = { column = \"gap\" }\nrelative_speed = { column = \"closing\" }\n";
