@@ -98,7 +98,9 @@ impl StagedFiles {
             // The rename left no temporary file to delete.
             let _ = temp_path.keep();
         }
-        self.locks.par_iter().try_for_each(|(folder, _)| sync_folder(folder))
+        // Deletes the locks, before the folders are synced.
+        let folders: Vec<_> = self.locks.into_keys().collect();
+        folders.par_iter().try_for_each(|folder| sync_folder(folder))
     }
 }
 

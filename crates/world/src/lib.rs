@@ -32,6 +32,7 @@ pub mod policy;
 pub mod process;
 pub mod random;
 #[cfg(feature = "recording")]
+#[cfg_attr(not(any(feature = "mdf", feature = "parquet")), expect(dead_code, reason = "used by binary formats"))]
 pub mod recording;
 mod required_brake;
 pub mod scenario;
