@@ -41,8 +41,8 @@ NAMES = {
     "predictive": "`predictive`",
     "road": "`road`",
 }
-FOLLOWERS = {"human": "human driver", "baseline": "coasts until its brake fires (`baseline`)",
-             "acc-aeb": "cruise control with brake (`acc-aeb`)", "idm": "car-following model (`idm`)"}
+FOLLOWERS = ["human", "baseline", "acc-aeb", "idm"]
+CHANGED = "hit from behind, change per 100", "seriously injured, change per 1000"
 CLASSES = {"light": "car", "heavy": "lorry"}
 MPH = 0.44704
 UPPER_SPEED_MPS = 62 * MPH
@@ -128,7 +128,11 @@ class Drives:
         """Returns the change of collisions per 100, or of harm per 1000 emergencies, with its interval."""
         scale = 1000 if what == "harm" else 100
         pairs = zip(getattr(self, what), getattr(before, what), self.active)
-        return bootstrap([scale * (own - other) for own, other, active in pairs if active or not is_active])
+        values = [scale * (own - other) for own, other, active in pairs if active or not is_active]
+        if what == "harm" or any(values):
+            return bootstrap(values)
+        limit = scale * clopper_pearson(0, len(values))[1]
+        return 0.0, -limit, limit
 
 
 def read_groups(path):
@@ -138,7 +142,8 @@ def read_groups(path):
         for row in csv.DictReader(file):
             band = "up to 62 mph" if float(row["speed_mps"]) <= UPPER_SPEED_MPS else "above 62 mph"
             driver, kind = row["follower"].split()
-            for group in ("all", row["follower"], driver, CLASSES[kind], band):
+            part = [] if driver == "baseline" else ["without baseline"]
+            for group in ("all", row["follower"], driver, CLASSES[kind], band, *part):
                 rows[group][row["controller"]].append(row)
     return {group: {name: Drives(of) for name, of in by_name.items()} for group, by_name in rows.items()}
 
@@ -212,13 +217,15 @@ def arrow(before, after, what):
 
 
 def by_follower(groups):
-    return [(text, groups[name]) for name, text in (*FOLLOWERS.items(), ("all", "all four")) if name in groups]
+    return [(f"`{name}`", groups[name]) for name in FOLLOWERS] + [("all four", groups["all"])]
 
 
 def tables(groups, passing, rate):
     """Returns the tables of the page."""
     every = groups["all"]
     reference, coasting = every[REFERENCE], every[COASTING]
+    harm = lambda name, before, one: (f"level {number(1000 * sum(one[name].harm) / one[name].count)}"
+                                      if name == before else signed(one[name].change(one[before], "harm")))
     assisted = [
         (text, brake, arrow(one[HUMAN], one[name], "ahead"), arrow(one[HUMAN], one[name], "behind"),
          signed(one[name].change(one[HUMAN], "behind")),
@@ -231,10 +238,11 @@ def tables(groups, passing, rate):
                         for what in ("behind", "harm") for before in (REFERENCE, COASTING)))
         for text, one in by_follower(groups) for brake, name in (("1.4 s", BRAKE), ("3 s", EARLY))
     ]
+    injuries = [("all", REFERENCE), ("human", REFERENCE), ("baseline", REFERENCE), ("baseline", COASTING)]
     everything = [
         (label(name), passing.get(name, "–"), share(sum(one.ahead), one.count), share(sum(one.behind), one.count),
          share(sum(b and not a for a, b in zip(one.ahead, one.behind)), one.count),
-         number(1000 * sum(one.harm) / one.count), signed(one.change(reference, "harm")))
+         *(harm(name, before, groups[group]) for group, before in injuries))
         for name, one in every.items()
     ]
     activations = []
@@ -247,12 +255,6 @@ def tables(groups, passing, rate):
                             signed(one.change(reference, "behind", True)),
                             signed(one.change(coasting, "behind", True)),
                             signed([value / 10 for value in one.change(reference, "harm", True)], 2)))
-    types = [
-        (label(name), *(cell for group in ("human", "baseline") for one in [groups[group]] for cell in (
-            share(sum(one[name].ahead), one[name].count), share(sum(one[name].behind), one[name].count),
-            signed(one[name].change(one[REFERENCE], "harm")))))
-        for name in SHOWN
-    ]
     subsets = [(f"`{driver}`, {word}", groups.get(f"{driver} {kind}")) for driver in FOLLOWERS
                for kind, word in CLASSES.items()]
     subsets += [(name, groups.get(name)) for name in ("car", "lorry", "up to 62 mph", "above 62 mph")]
@@ -268,24 +270,24 @@ def tables(groups, passing, rate):
         for before, after in ((HUMAN, ASSISTED), (REFERENCE, EARLY), (COASTING, EARLY))
     ]
     return {
-        "assisted": table(["vehicle behind", "brake from", "hits vehicle ahead, %: without → with brake",
-                           "hit from behind, %: without → with", "change per 100", "caused, %", "prevented, %",
-                           "seriously injured per 1000: without → with", "change per 1000"], assisted),
-        "alone": table(["vehicle behind", "brake from", "hit from behind, change per 100: brakes after impact",
-                        "coasts after impact", "seriously injured, change per 1000: brakes after impact",
-                        "coasts after impact"], alone),
+        "assisted": table(["vehicle behind", "brake from", "hits vehicle ahead, %: human → human + brake",
+                           "hit from behind, %: human → human + brake", f"{CHANGED[0]} against human",
+                           "caused against human, %", "prevented against human, %", "seriously injured per 1000: "
+                           "human → human + brake", f"{CHANGED[1]} against human"], assisted),
+        "alone": table(["vehicle behind", "brake from", *(f"{what} against {label(before)}" for what in CHANGED
+                                                          for before in (REFERENCE, COASTING))], alone),
         "all": table(["system", "passes modelled tests", "hits vehicle ahead, %", "hit from behind, %",
-                      "only hit from behind, %", "seriously injured per 1000", "change per 1000"], everything),
-        "types": table(["system", "human behind: hits ahead, %", "hit from behind, %",
-                        "seriously injured, change per 1000", "coasting vehicle behind: hits ahead, %",
-                        "hit from behind, %", "seriously injured, change per 1000"], types),
-        "parts": table(["vehicle behind, or speed", "emergencies", "human + brake: hit from behind, change per 100",
-                        "seriously injured, change per 1000", "brake 3 s: hit from behind, change per 100",
-                        "seriously injured, change per 1000"], parts),
-        "activations": table(["system", "activations", "avoided ahead", "caused behind",
-                              "net behind: brakes after impact", "net behind: coasts after impact",
-                              "change of seriously injured"], activations),
-        "hours": table(["comparison", "hits ahead", "hit from behind", "seriously injured"], hourly),
+                      "only hit from behind, %", *(
+                          f"seriously injured, {group} behind, change per 1000 against {label(before)}"
+                          for group, before in injuries)], everything),
+        "parts": table(["vehicle behind, or speed", "emergencies", *(
+            f"{pair}: {what}" for pair in ("human + brake 1.4 s against human", f"brake 3 s against {label(REFERENCE)}")
+            for what in CHANGED)], parts),
+        "activations": table(["system", "activations", f"avoided ahead against {label(REFERENCE)}",
+                              f"caused behind against {label(REFERENCE)}",
+                              f"change behind against {label(REFERENCE)}", f"change behind against {label(COASTING)}",
+                              f"change of seriously injured against {label(REFERENCE)}"], activations),
+        "hours": table(["change", "hits ahead", "hit from behind", "seriously injured"], hourly),
     }
 
 
@@ -298,10 +300,9 @@ def statements(groups, passing):
     change = lambda before, after, what, group="all": signed(groups[group][after].change(groups[group][before], what))
     fixed = [name for name in every if name.startswith(BRAKE) and name not in (REFERENCE, COASTING)]
     passed, failed = ([name for name in fixed if passing.get(name) == verdict] for verdict in ("yes", "no"))
-    saving = lambda name: every[name].change(every[REFERENCE], "harm")[0]
-    span = lambda names: " to ".join(number(value, True) for value in (
-        max(map(saving, names)), min(map(saving, names))))
-    soft_pass = min(passed, key=saving)
+    interval = lambda after, before, group: groups[group][after].change(groups[group][before], "harm")
+    span = lambda names: " to ".join(
+        number(end(interval(name, REFERENCE, "all")[0] for name in names), True) for end in (max, min))
     slowest, fastest = min(every[HUMAN].speed), max(every[HUMAN].speed)
     collides = all(all(every[name].ahead) for name in (REFERENCE, COASTING))
     fewest = all(sum(every["predictive"].ahead) < sum(one.ahead) and sum(every["predictive"].behind) < sum(one.behind)
@@ -310,13 +311,13 @@ def statements(groups, passing):
     escapes, _, examined = every[REFERENCE].avoidable
     early = [not a and b for a, b in zip(every[EARLY].ahead, every[EARLY].behind)]
     both = sum(hit and before for hit, before in zip(early, every[REFERENCE].behind))
-    early_activations = sum(every[REFERENCE].active)
-    silent = every["openpilot"]
     types = ", ".join(f"{groups[name][HUMAN].count} `{name}`" for name in FOLLOWERS)
-    ends = lambda values: (lambda low, high: f"{number(low, True)} to {number(high, True)}")(min(values), max(values))
-    mean = lambda before, group, what: ends([groups[group][after].change(groups[group][before], what)[0]
-                                             for after in (BRAKE, EARLY)])
-    interval = lambda after, before, group: groups[group][after].change(groups[group][before], "harm")
+    gain = lambda group, after=ASSISTED: change(HUMAN, after, "harm", group)
+    behind = lambda group, before, *brakes: "/".join(change(before, one, "behind", group).split()[0] for one in brakes)
+    alone = lambda group: f"{behind(group, REFERENCE, BRAKE, EARLY)} and {behind(group, COASTING, BRAKE, EARLY)}"
+    lorry = groups["baseline heavy"]
+    part = lambda group, after: number(
+        1000 * (sum(group[after].harm) - sum(group[HUMAN].harm)) / every[HUMAN].count, True, 2)
     saves = all(interval(name, before, group)[2] < 0 for name in fixed for before in (REFERENCE, COASTING)
                 for group in ("human", "acc-aeb", "idm"))
     adds = [sum(all(interval(name, before, "baseline")[1] > 0 for before in (REFERENCE, COASTING)) for name in names)
@@ -326,44 +327,46 @@ def statements(groups, passing):
         sys.exit("error: a statement of the page does not hold")
     return [
         f"each of the {len(fixed)} brakes evaluated saves injuries in front of `human`, `acc-aeb` and `idm`",
-        f"{adds[0]} of the {len(passed)} that pass the modelled tests "
-        f"and {adds[1] or 'none'} of the {len(failed)} that "
-        f"fail add injuries with either reference; {spares or 'none'} saves some with either",
-        f"in front of humans {mean(REFERENCE, 'human', 'behind')} per 100 if the car without a brake brakes after its "
-        f"impact, {mean(COASTING, 'human', 'behind')} if it coasts on",
-        f"{mean(REFERENCE, 'baseline', 'behind')} and {mean(COASTING, 'baseline', 'behind')} in front of `baseline`",
-        f"{mean(REFERENCE, 'acc-aeb', 'behind')} and {mean(COASTING, 'acc-aeb', 'behind')} in front of `acc-aeb`",
+        f"{adds[0]} of the {len(passed)} that pass and {adds[1] or 'none'} of the {len(failed)} that fail add injuries "
+        f"under both references (95 % interval above zero); {spares or 'none'} of the {len(fixed)} saves injuries "
+        f"under both",
+        f"change by {alone('human')} in front of `human`",
+        *(f"by {alone(group)} in front of `{group}`" for group in ("baseline", "acc-aeb", "idm")),
         f"hits the vehicle ahead in {of(ASSISTED, 'ahead')} instead of {of(HUMAN, 'ahead')} % of the emergencies, and "
         f"is hit from behind in {of(ASSISTED, 'behind')} instead of {of(HUMAN, 'behind')} % "
         f"(change {change(HUMAN, ASSISTED, 'behind')} per 100)",
         f"The expected number of seriously injured drivers changes by {change(HUMAN, ASSISTED, 'harm')} per 1000",
-        f"{change(HUMAN, ASSISTED, 'harm', 'up to 62 mph')} per 1000 up to 62 mph and "
-        f"{change(HUMAN, ASSISTED, 'harm', 'above 62 mph')} above",
-        f"{change(HUMAN, ASSISTED, 'harm', 'car')} per 1000 with a car behind and "
-        f"{change(HUMAN, ASSISTED, 'harm', 'lorry')} with a lorry behind",
+        f"{gain('car')} per 1000 with a car behind and {gain('lorry')} with a lorry",
+        f"{gain('up to 62 mph')} up to 62 mph and {gain('above 62 mph')} above",
+        f"their {lorry[HUMAN].count} emergencies contribute {part(lorry, ASSISTED)} to the total of "
+        f"{part(every, ASSISTED)} per 1000 (brake from 3 s: {part(lorry, ASSISTED_EARLY)} of "
+        f"{part(every, ASSISTED_EARLY)})",
+        f"by {gain('without baseline')} with the 1.4 s brake and by {gain('without baseline', ASSISTED_EARLY)} with",
+        f"rise more with cars ({behind('car', HUMAN, ASSISTED)} per 100) than with lorries "
+        f"({behind('lorry', HUMAN, ASSISTED)})",
+        f"from 1.4 s changes injuries by {gain('human')} per 1000 in this sample",
         f"From 3 s, it adds {change(HUMAN, ASSISTED_EARLY, 'behind')} collisions behind per 100, and injuries change "
         f"by {change(HUMAN, ASSISTED_EARLY, 'harm')} per 1000",
         f"Of the {len(fixed)} brakes without a driver evaluated, the {len(passed)} that pass change injuries by "
         f"{span(passed)} per 1000, the {len(failed)} that fail by {span(failed)}",
-        f"{label(soft_pass)} against {label(EARLY)}: {change(EARLY, soft_pass, 'harm')}",
+        f"`openpilot` fails, yet changes them by {change(REFERENCE, 'openpilot', 'harm')}",
         f"hit the vehicle ahead in {number(100 * sum(every['predictive'].ahead) / every[HUMAN].count)} and "
         f"{number(100 * sum(every['road'].ahead) / every[HUMAN].count)} % and are hit from behind in "
         f"{number(100 * sum(every['predictive'].behind) / every[HUMAN].count)} and "
         f"{number(100 * sum(every['road'].behind) / every[HUMAN].count)} %",
-        f"None of the other {len(every) - 1} systems has fewer of either than `predictive`",
-        f"with human followers `road` and `predictive` do not differ distinguishably (injuries: "
+        f"`predictive` has the fewest of both among all {len(every)} systems",
+        f"With human followers `road` and `predictive` do not differ distinguishably (injuries: "
         f"{change('predictive', 'road', 'harm', 'human')} per 1000)",
         f"In {escapes} of the first {examined} emergencies",
         f"at least {number(100 * clopper_pearson(escapes, examined)[0])} %",
         f"{every[HUMAN].count} emergencies ({types}; {lorries} of them lorries)",
         f"In {sum(early)} of {len(early)} emergencies brake 3 s, 7.5 m/s² avoids the vehicle ahead and is hit from "
         f"behind; in {both} of these the car without a brake, which brakes after its impact, is hit, too",
-        f"add {number(every[REFERENCE].change(every[COASTING], 'harm')[0])} to the last column",
         f"Speeds are {3.6 * slowest:.0f} to {3.6 * fastest:.0f} km/h "
         f"({slowest / MPH:.0f} to {fastest / MPH:.0f} mph)",
-        f"In {early_activations} of {len(early)} drives noise makes the first reference brake shortly before its "
-        f"impact",
-        f"`openpilot` has no activation in {silent.count - sum(silent.active)} drives",
+        f"In {sum(every[REFERENCE].active)} of {len(early)} drives noise makes the first reference brake shortly "
+        f"before its impact",
+        f"`openpilot` has no activation in {every['openpilot'].active.count(False)} drives",
     ]
 
 
@@ -497,9 +500,9 @@ CHANGES = {
                                '"vehicles[2].time_gap_s"\nunit = "s"\ndistribution.log-normal = { ln_mean = 0.0')],
     "time gap behind 2.0 s": [('"vehicles[2].time_gap_s"\nunit = "s"\ndistribution.log-normal = { ln_mean = 0.405',
                                '"vehicles[2].time_gap_s"\nunit = "s"\ndistribution.log-normal = { ln_mean = 0.693')],
-    "both time gaps as in 20 NGSIM events": [time_gaps(*RECORDED_GAPS[0])],
-    "both time gaps as in OpenACC, short setting": [time_gaps(*RECORDED_GAPS[1])],
-    "both time gaps as in OpenACC, long setting": [time_gaps(*RECORDED_GAPS[2])],
+    "time gaps: 20 NGSIM events": [time_gaps(*RECORDED_GAPS[0])],
+    "time gaps: OpenACC, short setting": [time_gaps(*RECORDED_GAPS[1])],
+    "time gaps: OpenACC, long setting": [time_gaps(*RECORDED_GAPS[2])],
     "time gap ahead 1.0 s": [('"vehicles[1].time_gap_s"\nunit = "s"\ndistribution.log-normal = { ln_mean = 0.405',
                               '"vehicles[1].time_gap_s"\nunit = "s"\ndistribution.log-normal = { ln_mean = 0.0')],
     "followers are cars": [('values = ["light", "heavy"]', 'values = ["light"]')],
@@ -513,17 +516,13 @@ CHANGES = {
 
 def sensitivity_statements(cells):
     """Returns the sentences about the table, from its cells."""
-    behind = sorted((float(row[0].split()[0].replace("−", "-")), row[0]) for row in cells.values())
-    injuries = lambda name, column=1: cells[name][column]
+    harm = {name: row[1] for name, row in cells.items()}
+    low, *_, high = sorted((text.split()[0] for text in harm.values()), key=lambda text: float(text.replace("−", "-")))
     return [
-        f"adds {behind[0][1].split()[0]} to {behind[-1][1].split()[0]} rear-end collisions per 100 in every row",
-        f"injuries by {injuries('base case')} in this sample",
-        f"threshold of perception (0.04 rad/s, a high value) they change by {injuries('perception 0.04 rad/s')}",
-        f"If the human driver behind has an emergency brake, too, injuries fall: "
-        f"{injuries('follower has an emergency brake')} per 1000",
-        f"{injuries('followers are lorries', 4)} if it is a lorry and "
-        f"{injuries('followers are cars', 4)} if it is a car",
-        f"from {injuries('base case', 2)} to {injuries('car without a brake coasts after its impact', 2)} per 100",
+        f"In a second sample, with human drivers behind only: {harm['follower has an emergency brake']} per 1000 if "
+        f"they have the brake, too, {harm['base case']} if not",
+        f"{harm['base case']} in the second, and {low} to {high} over the assumptions of the "
+        f"[last table](#which-assumptions-matter-most) (reaction 2.0 s: {harm['reaction 2.0 s'].split()[0]})",
     ]
 
 
@@ -563,11 +562,11 @@ def sensitivity(crumple, folder, page, is_written):
         rows.append((assumption, *cells(pairs)))
         if index == 0:
             coasts = [(COASTING if before == REFERENCE else before, *rest) for before, *rest in pairs]
-            last = ("car without a brake coasts after its impact", *cells(coasts))
-    made = table(["assumption", "human + brake: hit from behind, change per 100", "seriously injured",
-                  "brake 3 s: hit from behind, change per 100", "seriously injured",
-                  "coasting vehicle behind, human + brake: seriously injured", "brake 3 s: seriously injured"],
-                 [*rows, last])
+            last = (label(COASTING), *cells(coasts))
+    compared = ["human + brake 1.4 s against human", "brake 3 s against no brake"]
+    heads = [f"{pair}: {what}" for pair in compared for what in CHANGED]
+    heads += [f"`baseline` behind, {pair}: {CHANGED[1]}" for pair in compared]
+    made = table(["assumption", *heads], [*rows, last])
     if page:
         medians = [f"{math.exp(mean):.2f}" for mean, _ in RECORDED_GAPS]
         check_page(page, {"sensitivity": made}, [
