@@ -228,7 +228,7 @@ fn measure(
     (change, sign): (&KnownChange, f64),
     faults: Option<&GapFaults>,
 ) -> DistanceEstimate {
-    filter.feed_forward(tuning, change, sign);
     let measured_m = sensor.measure(distance_m);
-    filter.update(tuning, faults.map_or(measured_m, |faults| faults.degrade(measured_m)))
+    let measured_m = faults.map_or(measured_m, |faults| faults.degrade(measured_m));
+    filter.advance(tuning, change, sign, measured_m)
 }

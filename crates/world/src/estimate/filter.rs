@@ -159,6 +159,17 @@ pub struct DistanceEstimate {
     pub acceleration_mps2: f64,
 }
 
+impl DistanceEstimate {
+    #[inline]
+    fn changed(self, tuning: &Tuning, change: &KnownChange, sign: f64) -> Self {
+        Self {
+            distance_m: self.distance_m + sign * (0.5 * tuning.step_s * change.rate_mps),
+            rate_mps: self.rate_mps + sign * change.rate_mps,
+            acceleration_mps2: self.acceleration_mps2 + sign * change.acceleration_mps2,
+        }
+    }
+}
+
 /// Known change of the motion over the step that ends now, relative to constant acceleration.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct KnownChange {
@@ -206,9 +217,20 @@ impl Filter {
     /// The change is spread evenly over the step, so half of its rate counts for the distance.
     #[inline]
     pub fn feed_forward(&mut self, tuning: &Tuning, change: &KnownChange, sign: f64) {
-        self.prediction.distance_m += sign * (0.5 * tuning.step_s * change.rate_mps);
-        self.prediction.rate_mps += sign * change.rate_mps;
-        self.prediction.acceleration_mps2 += sign * change.acceleration_mps2;
+        self.prediction = self.prediction.changed(tuning, change, sign);
+    }
+
+    /// Adds a known change of motion and applies a measurement, as [`Self::feed_forward`] and [`Self::update`] do. The
+    /// prediction stays in registers: to store it and load it again at once takes longer than all else.
+    #[inline]
+    pub(super) fn advance(
+        &mut self,
+        tuning: &Tuning,
+        change: &KnownChange,
+        sign: f64,
+        measured_m: Option<f64>,
+    ) -> DistanceEstimate {
+        self.update_prediction(tuning, self.prediction.changed(tuning, change, sign), measured_m)
     }
 
     /// Applies this step's measurement, unless it was lost, and predicts the next step.
@@ -216,7 +238,16 @@ impl Filter {
     /// Returns the estimate at the instant of the measurement.
     #[inline]
     pub fn update(&mut self, tuning: &Tuning, measured_m: Option<f64>) -> DistanceEstimate {
-        let mut estimate = self.prediction;
+        self.update_prediction(tuning, self.prediction, measured_m)
+    }
+
+    #[inline]
+    fn update_prediction(
+        &mut self,
+        tuning: &Tuning,
+        mut estimate: DistanceEstimate,
+        measured_m: Option<f64>,
+    ) -> DistanceEstimate {
         if let Some(measured_m) = measured_m {
             let gain = match &self.covariance {
                 None => tuning.steady_gain,

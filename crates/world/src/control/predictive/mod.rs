@@ -27,8 +27,8 @@ use crate::required_brake::required_brake_mps2;
 use crate::settings::settings;
 
 settings! {
-    /// Settings of the predictive two-sided controller. Decelerations are those on a dry road; the controller
-    /// multiplies them by the friction that it estimates.
+    /// Settings of the predictive two-sided controller. It multiplies `ahead_brake_mps2` and `behind_brake_mps2`, which
+    /// hold on a dry road, by the friction that it estimates.
     PredictiveSettings {
         /// Desired time headway while following, in seconds (the Intelligent Driver Model's).
         time_headway_s: 1.6, 0.0..=10.0, 0.5..=3.0;
