@@ -97,7 +97,13 @@ pub(super) struct Falsify {
     )]
     compare: Vec<Method>,
     /// Number of seeds of --compare, from --seed on: 1 to 1000
-    #[arg(long, value_name = "N", default_value_t = 30, value_parser = value_parser!(u64).range(1..=1000))]
+    #[arg(
+        long,
+        value_name = "N",
+        default_value_t = 30,
+        value_parser = value_parser!(u64).range(1..=1000),
+        requires = "compare"
+    )]
     seeds: u64,
     /// Write the runs of --compare as a table, one row for each method and seed; replaces an existing file
     #[arg(long, value_name = "F.csv", requires = "compare")]
@@ -213,6 +219,11 @@ fn compare(
     format: OutputFormat,
     quiet: bool,
 ) -> Result<(), CliError> {
+    if let Some(twice) =
+        methods.iter().enumerate().find_map(|(place, one)| methods[..place].contains(one).then_some(one))
+    {
+        return Err(CliError::Input(format!("--compare: {} is given twice", twice.name())));
+    }
     let total = campaign.budget.saturating_mul(seeds).saturating_mul(methods.len() as u64);
     let bar = progress::campaign_bar(total, quiet);
     let observer = Listener(|state: &CampaignProgress| {

@@ -89,7 +89,8 @@ impl New {
         let folder = &self.folder;
         let name = folder.file_name().and_then(|name| name.to_str()).filter(|name| is_project_name(name));
         let Some(name) = name else {
-            let problem = "is not the name of a project: use 1 to 40 of a-z, 0-9 and -, and begin with a letter";
+            let problem = "is not the name of a project: use 1 to 40 of a-z, 0-9 and -, begin with a letter, \
+                           and use no keyword or name of a module";
             return Err(CliError::at(folder, problem));
         };
         if folder.symlink_metadata().is_ok() {
@@ -121,8 +122,16 @@ impl New {
     }
 }
 
+/// Keywords of Rust and Python, and crates and modules that a project would shadow.
+const RESERVED_NAMES: &str = "abstract and as assert async await become box break class const continue core crate \
+    crumple crumple-testing def del do dyn elif else enum except extern final finally fn for from gen global \
+    hypothesis if impl import in is json lambda let libfuzzer-sys loop macro match mod move mut nonlocal not numpy or \
+    os override pass priv pub pytest raise random ref return self static std struct super sys test trait try type \
+    typeof unsafe unsized use virtual where while with yield";
+
 fn is_project_name(name: &str) -> bool {
-    (1..=MAX_NAME_LENGTH).contains(&name.len())
+    !RESERVED_NAMES.split(' ').any(|reserved| reserved == name)
+        && (1..=MAX_NAME_LENGTH).contains(&name.len())
         && name.starts_with(|letter: char| letter.is_ascii_lowercase())
         && name.bytes().all(|byte| matches!(byte, b'a'..=b'z' | b'0'..=b'9' | b'-'))
 }

@@ -55,8 +55,8 @@ pub fn check(controller: impl Into<ControllerKind>) -> ControllerCheck {
         controller: ControllerUnderTest { kind: controller.into(), estimator: EstimatorKind::default() },
         scenarios: Ok(Scenarios::any()),
         properties: Vec::new(),
-        cases: cases(DEFAULT_CASES),
-        seed: number_in(SEED).unwrap_or(0),
+        cases: DEFAULT_CASES,
+        seed: 0,
         corpus: folder.join("crumple-corpus").join(test_name().replace("::", "-")),
     }
 }
@@ -80,13 +80,13 @@ impl ControllerCheck {
 
     /// Sets the number of cases, unless the environment variable `CRUMPLE_TEST_CASES` does.
     pub fn cases(mut self, normal: u32) -> Self {
-        self.cases = cases(normal);
+        self.cases = normal;
         self
     }
 
     /// Sets the seed of all scenarios, unless the environment variable `CRUMPLE_TEST_SEED` does; by default 0.
     pub fn seed(mut self, seed: u64) -> Self {
-        self.seed = number_in(SEED).unwrap_or(seed);
+        self.seed = seed;
         self
     }
 
@@ -121,9 +121,9 @@ impl ControllerCheck {
     pub fn assert_input(&self, bytes: &[u8]) {
         let scenarios = self.scenarios.as_ref().unwrap_or_else(|error| panic!("{error}"));
         for property in &self.properties() {
-            if let PropertyVerdict::Violated(_) = self.evaluate(property, &scenarios.read(bytes)) {
+            if let PropertyVerdict::Violated(finding) = self.evaluate(property, &scenarios.read(bytes)) {
                 let count = "an input of a fuzzer violates it".to_owned();
-                match self.shrink_and_write(property, scenarios, bytes, count) {
+                match self.shrink_and_write(property, finding, scenarios, bytes, count) {
                     Ok(failure) => panic!("{failure}"),
                     Err(error) => panic!("{error}"),
                 }
@@ -140,11 +140,18 @@ impl ControllerCheck {
     /// # Errors
     /// [`CheckError`], for the first violated property of the first scenario.
     pub fn run(mut self) -> Result<CheckSummary, CheckError> {
+        self.cases = number_in(CASES)?.unwrap_or(self.cases);
+        self.seed = number_in(SEED)?.unwrap_or(self.seed);
         let properties = self.properties();
         let scenarios = std::mem::replace(&mut self.scenarios, Ok(Scenarios::any()))?;
         let replayed = env::var_os(REPLAY).map(PathBuf::from);
         let known = replayed.as_deref().unwrap_or(&self.corpus);
         let known = if known.exists() || replayed.is_some() { load_all(known)? } else { Vec::new() };
+        let cases = if replayed.is_some() { 0 } else { self.cases };
+        if let Some(property) = properties.first().filter(|_| known.is_empty() && cases == 0) {
+            let (property, reason) = (property.name().to_owned(), "there are no scenarios".to_owned());
+            return Err(CheckError::NotTested { property, reason });
+        }
         for (file, scenario) in known {
             for property in &properties {
                 if let PropertyVerdict::Violated(finding) = self.evaluate(property, &scenario) {
@@ -154,7 +161,6 @@ impl ControllerCheck {
                 }
             }
         }
-        let cases = if replayed.is_some() { 0 } else { self.cases };
         let all: Vec<Vec<u8>> = (0..u64::from(cases))
             .map(|case| scenarios.random_bytes(&mut stream(self.seed, Purpose::ScenarioSampling, case)))
             .collect();
@@ -162,11 +168,14 @@ impl ControllerCheck {
         for property in &properties {
             let verdicts: Vec<_> =
                 all.par_iter().map(|bytes| self.evaluate(property, &scenarios.read(bytes))).collect();
-            let is_violated = |verdict: &PropertyVerdict| matches!(verdict, PropertyVerdict::Violated(_));
-            if let Some(bytes) = verdicts.iter().position(is_violated).and_then(|first| all.get(first)) {
-                let failing = verdicts.iter().filter(|verdict| is_violated(verdict)).count();
+            let mut violations = verdicts.iter().zip(&all).filter_map(|(verdict, bytes)| match verdict {
+                PropertyVerdict::Violated(finding) => Some((finding, bytes)),
+                _ => None,
+            });
+            if let Some((finding, bytes)) = violations.next() {
+                let failing = 1 + violations.count();
                 let count = format!("{failing} of {} cases violate it (seed {})", self.cases, self.seed);
-                return Err(self.shrink_and_write(property, &scenarios, bytes, count)?.into());
+                return Err(self.shrink_and_write(property, finding.clone(), &scenarios, bytes, count)?.into());
             }
             let mut reasons = verdicts.iter().filter_map(|verdict| match verdict {
                 PropertyVerdict::NotApplicable(reason) => Some(reason),
@@ -190,6 +199,7 @@ impl ControllerCheck {
     fn shrink_and_write(
         &self,
         property: &Property,
+        first_finding: String,
         scenarios: &Scenarios,
         bytes: &[u8],
         count: String,
@@ -201,8 +211,8 @@ impl ControllerCheck {
         });
         shrunk.scenario = self.controller.adapt(&shrunk.scenario);
         let PropertyVerdict::Violated(finding) = self.evaluate(property, &shrunk.scenario) else {
-            let finding = "the controller is not deterministic: a failure does not recur".to_owned();
-            return Ok(Box::new(self.failure(property, finding, shrunk, PathBuf::new(), String::new())));
+            let finding = format!("{first_finding}; this does not recur: the controller is not deterministic");
+            return Ok(Box::new(self.failure(property, finding, shrunk, PathBuf::new(), count)));
         };
         let text = to_toml(&shrunk.scenario).unwrap_or_default();
         let slug = property.name().replace(|letter: char| !letter.is_ascii_alphanumeric(), "-");
@@ -245,7 +255,7 @@ impl ControllerCheck {
     fn replay_commands(&self, file: &Path) -> Vec<String> {
         let file = file.to_string_lossy();
         let package = env::var("CARGO_PKG_NAME").map_or_else(|_| String::new(), |name| format!(" -p {name}"));
-        let test = format!("{REPLAY}={} cargo test{package} {}", ShellWord(&file), test_name());
+        let test = format!("{REPLAY}={} cargo test{package} {} -- --exact", ShellWord(&file), test_name());
         let name = match &self.controller.kind {
             ControllerKind::BuiltIn(spec) => Some(spec.to_arg()),
             other => other.file().map(|path| path.to_string_lossy().into_owned()),
@@ -259,13 +269,11 @@ impl ControllerCheck {
     }
 }
 
-/// Returns the number of cases of a test: `normal`, or that of the environment variable `CRUMPLE_TEST_CASES`.
-fn cases(normal: u32) -> u32 {
-    number_in(CASES).unwrap_or(normal)
-}
-
-fn number_in<T: std::str::FromStr>(variable: &str) -> Option<T> {
-    env::var(variable).ok()?.parse().ok()
+/// Returns the number in an environment variable; `None` without the variable.
+fn number_in<T: std::str::FromStr>(variable: &'static str) -> Result<Option<T>, CheckError> {
+    let Some(value) = env::var_os(variable) else { return Ok(None) };
+    let value = value.to_string_lossy().into_owned();
+    value.parse().map(Some).map_err(|_| CheckError::Variable { variable, value })
 }
 
 /// Returns the path of the running test: test programs name its thread after it.

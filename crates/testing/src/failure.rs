@@ -39,6 +39,14 @@ pub enum CheckError {
         /// The error.
         source: io::Error,
     },
+    /// An environment variable is no whole number in its range.
+    #[error("{variable}: must be a whole number, found `{value}`")]
+    Variable {
+        /// Name of the variable.
+        variable: &'static str,
+        /// Value of the variable.
+        value: String,
+    },
     /// No scenario tests a property.
     #[error("no scenario tests the property `{property}`: {reason}")]
     NotTested {
@@ -67,7 +75,7 @@ pub struct PropertyFailure {
     pub finding: String,
     /// The scenario, after shrinking.
     pub scenario: Scenario,
-    /// The scenario's file, which the next run evaluates first.
+    /// The scenario's file, which the next run evaluates first; empty if the failure does not recur.
     pub file: PathBuf,
     /// Numbers that differ from the nominal scenario; empty for a scenario of the corpus.
     pub changes: Vec<String>,
@@ -82,7 +90,11 @@ pub struct PropertyFailure {
 impl PropertyFailure {
     fn to_text(&self) -> String {
         let Self { property, finding, count, file, changes, replay, drawing, .. } = self;
-        let mut text = format!("property violated: {property}\n  {finding}\n  {count}\nscenario: {}\n", file.display());
+        let mut text = format!("property violated: {property}\n  {finding}\n  {count}\n");
+        if file.as_os_str().is_empty() {
+            return text;
+        }
+        text += &format!("scenario: {}\n", file.display());
         if !changes.is_empty() {
             // Writing to a string does not fail.
             let _ = writeln!(text, "differs from nominal: {}", changes.join(", "));

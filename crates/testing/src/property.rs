@@ -116,8 +116,9 @@ impl Property {
             let under_test = trace.vehicles.iter().enumerate().filter(|(index, _)| scenario.is_under_test(*index));
             let of_each = under_test.filter_map(|(_, track)| peak_jerk_mps3(&trace.time_s, track, JERK_WINDOW_S));
             let peak_mps3 = of_each.fold(0.0, f64::max);
-            Ok(failure_of(&result)
-                .unwrap_or_else(|| violated_if(peak_mps3 > max_mps3, || format!("the jerk is {peak_mps3:.1} m/s³"))))
+            Ok(failure_of(&result).unwrap_or_else(|| {
+                violated_if(max_mps3.is_nan() || peak_mps3 > max_mps3, || format!("the jerk is {peak_mps3:.1} m/s³"))
+            }))
         })
     }
 

@@ -1,6 +1,9 @@
 //! Planted defects are found, and their scenarios shrink to few changes.
 #![expect(clippy::panic, clippy::unwrap_used, reason = "a test may panic, also in its functions")]
 
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
 use crumple_testing::world::observation::{EstimatorKind, Observation};
 use crumple_testing::{CheckError, MetamorphicRelation, Property, PropertyFailure, Scenarios, check, stateless};
 
@@ -34,6 +37,21 @@ fn failure_of(defect: Defect, space: &str, property: &Property) -> Box<PropertyF
     let Err(CheckError::Violated(again)) = test(defect).run() else { panic!("a corpus without a failure") };
     assert_eq!((&again.file, &again.scenario, &again.finding), (&failure.file, &failure.scenario, &failure.finding));
     failure
+}
+
+/// A test without scenarios fails. A failure that does not recur has its finding, and no file to replay.
+#[test]
+fn no_scenario_and_failures_that_do_not_recur_are_reported() {
+    let folder = tempfile::tempdir().unwrap();
+    let test = |decide: Defect| check(stateless(decide)).on("alone").corpus(folder.path());
+    assert!(matches!(test(sound).cases(0).run(), Err(CheckError::NotTested { .. })));
+    let first = Arc::new(AtomicBool::new(true));
+    let once = move |seen: &Observation| if first.swap(false, Ordering::Relaxed) { f64::NAN } else { sound(seen) };
+    let failed = check(stateless(once)).on("alone").corpus(folder.path()).cases(3).run();
+    let Err(CheckError::Violated(failure)) = failed else { panic!("{failed:?}") };
+    let text = failure.to_string();
+    assert!(text.contains("gives no answer") && text.contains("does not recur") && !text.contains("replay"), "{text}");
+    assert_eq!(folder.path().read_dir().unwrap().count(), 0);
 }
 
 #[test]

@@ -26,6 +26,7 @@ fn a_project_has_its_name_and_never_replaces_anything() {
         ("taken", "exists"),
         ("Upper", "not the name of a project"),
         ("..", "not the name of a project"),
+        ("fn", "not the name of a project"),
         ("'a\nb'", "not the name of a project"),
         ("fine --crumple .", "not a folder with the source of crumple"),
     ] {
