@@ -210,14 +210,24 @@ fn can_execute_policy(policy: Option<&[u8]>, starts: &InitialSet) -> bool {
         .is_some_and(|actor| starts.can_execute(actor.action_bounds_mps2))
 }
 
-fn check_box(certificate: &Certificate, claim: &ReachClaim, policy: Option<&[u8]>) -> Result<(), BindingError> {
-    let scenario = read_scenario(certificate)?;
+/// Parses the text of a box or region, which must name the scenario of the certificate.
+fn read_box<T>(
+    certificate: &Certificate,
+    parse: fn(&str, &Path) -> Result<T, FileError>,
+    scenario: fn(&T) -> &String,
+) -> Result<T, BindingError> {
     let text = certificate.provenance.box_text.as_ref();
     let text = text.ok_or(BindingError::Missing { field: BOX_TEXT_FIELD })?;
-    let spec = BoxSpec::from_toml(text, Path::new(BOX_TEXT_FIELD))?;
-    if spec.scenario != certificate.provenance.scenario {
+    let spec = parse(text, Path::new(BOX_TEXT_FIELD))?;
+    if *scenario(&spec) != certificate.provenance.scenario {
         return Err(mismatch(BOX_TEXT_FIELD, "belongs to another scenario"));
     }
+    Ok(spec)
+}
+
+fn check_box(certificate: &Certificate, claim: &ReachClaim, policy: Option<&[u8]>) -> Result<(), BindingError> {
+    let scenario = read_scenario(certificate)?;
+    let spec = read_box(certificate, BoxSpec::from_toml, |spec| &spec.scenario)?;
     let starts = InitialSet::new(&scenario, &spec)?;
     if !is_same_run(claim, &starts)
         || claim.ranges != starts.ranges
@@ -239,12 +249,7 @@ fn check_invariant(
     policy: Option<&[u8]>,
 ) -> Result<(), BindingError> {
     let scenario = read_scenario(certificate)?;
-    let text = certificate.provenance.box_text.as_ref();
-    let text = text.ok_or(BindingError::Missing { field: BOX_TEXT_FIELD })?;
-    let spec = InvariantSpec::from_toml(text, Path::new(BOX_TEXT_FIELD))?;
-    if spec.scenario != certificate.provenance.scenario {
-        return Err(mismatch(BOX_TEXT_FIELD, "belongs to another scenario"));
-    }
+    let spec = read_box(certificate, InvariantSpec::from_toml, |spec| &spec.scenario)?;
     // The checker has compared the digest of the policy.
     let frame = spec.frame(&scenario, claim.network().and(policy))?;
     if has_frame(claim, frame) { Ok(()) } else { Err(scene_mismatch()) }

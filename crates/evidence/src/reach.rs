@@ -196,15 +196,7 @@ impl BoxSpec {
     /// # Errors
     /// [`FileError`] if the text is not a box.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, FileError> {
-        let spec: Self = file::parse_toml(text, path)?;
-        match spec.version {
-            1 => Ok(spec),
-            other => Err(FileError::Syntax {
-                path: path.to_owned(),
-                line: file::line_in_toml(text, "version"),
-                message: format!("version {other} is not supported: this release reads version 1"),
-            }),
-        }
+        file::parse_first_version(text, path, |spec: &Self| spec.version)
     }
 }
 

@@ -48,15 +48,7 @@ impl InvariantSpec {
     /// # Errors
     /// [`FileError`] if the text has another form.
     pub fn from_toml(text: &str, path: &Path) -> Result<Self, FileError> {
-        let spec: Self = file::parse_toml(text, path)?;
-        match spec.version {
-            1 => Ok(spec),
-            other => Err(FileError::Syntax {
-                path: path.to_owned(),
-                line: file::line_in_toml(text, "version"),
-                message: format!("version {other} is not supported: this release reads version 1"),
-            }),
-        }
+        file::parse_first_version(text, path, |spec: &Self| spec.version)
     }
 
     /// Returns the claim without its set, for a law of the spec or the bytes of a policy file.

@@ -213,6 +213,26 @@ pub fn parse_toml<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, Fil
         .map_err(|error| misread(error.path().to_string(), error.into_inner()))
 }
 
+/// Parses a text of a format of which only version 1 exists.
+///
+/// # Errors
+/// [`FileError`] if the text has another form or version.
+pub fn parse_first_version<T: DeserializeOwned>(
+    text: &str,
+    path: &Path,
+    version: impl Fn(&T) -> u32,
+) -> Result<T, FileError> {
+    let parsed = parse_toml(text, path)?;
+    match version(&parsed) {
+        1 => Ok(parsed),
+        other => Err(FileError::Syntax {
+            path: path.to_owned(),
+            line: line_in_toml(text, "version"),
+            message: format!("version {other} is not supported: this release reads version 1"),
+        }),
+    }
+}
+
 /// Parses a value from JSON text, with errors that name line and field.
 pub fn parse_json<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, FileError> {
     let mut parsed = serde_json::Deserializer::from_str(text);
