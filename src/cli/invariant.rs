@@ -108,6 +108,18 @@ fn parse_range(text: &str) -> Result<[f64; 2], String> {
     }
 }
 
+/// Returns the option that sets a field of the claim.
+fn option_of(field: &str) -> &str {
+    match field {
+        "region_gap_m" => "--gap",
+        "leader_mps2" => "--leader-accel",
+        "motion" => "--plant",
+        "axes" | "table" => "--speed and --leader-speed",
+        "scenario" => "--scenario",
+        other => other,
+    }
+}
+
 /// Parses a number from 0 to a limit.
 fn parse_up_to(text: &str, most: f64) -> Result<f64, String> {
     let number = text.parse().ok().filter(|number| (0.0..=most).contains(number));
@@ -141,6 +153,7 @@ impl InvariantCommand {
                 let place = self.controller.field_location(&invalid.field);
                 CliError::Input(format!("--controller: {place}cannot be followed: {invalid}"))
             }
+            InvalidBox::Field { field, problem } => CliError::Input(format!("{}: {problem}", option_of(&field))),
             other => CliError::input(other),
         };
         let plan = InvariantPlan::new(self.controller.kind.clone(), &scenario, spec).map_err(failed)?;
