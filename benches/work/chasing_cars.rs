@@ -117,12 +117,10 @@ pub fn simulate(inputs: &ChasingCarsInputs) -> CarTrajectories {
     let mut y = [0.0, 10.0, 20.0, 30.0, 40.0];
     let mut v = [0.0_f64; 5];
     let mut mode = [Mode::Keeping; 5];
-    let mut position: [Vec<f64>; 5] = std::array::from_fn(|_| Vec::with_capacity(STEPS + 1));
-    let mut record = |y: &[f64; 5]| position.iter_mut().zip(y).for_each(|(track, &y)| track.push(y));
-    record(&y);
-    for (&throttle, &brake) in inputs.throttle.iter().zip(&inputs.brake) {
-        let lead = LeaderStep::new(throttle, brake);
-        for _ in 0..STEPS_PER_PIECE {
+    let mut position: [Vec<f64>; 5] = y.map(|start| vec![start; STEPS + 1]);
+    for piece in 0..PIECES {
+        let lead = LeaderStep::new(inputs.throttle[piece], inputs.brake[piece]);
+        for step in 1..=STEPS_PER_PIECE {
             let gaps: [f64; 4] = std::array::from_fn(|i| y[i + 1] - y[i]);
             lead.advance(&mut y[0], &mut v[0]);
             for i in 1..5 {
@@ -139,7 +137,7 @@ pub fn simulate(inputs: &ChasingCarsInputs) -> CarTrajectories {
                     }
                 }
             }
-            record(&y);
+            position.iter_mut().zip(y).for_each(|(track, y)| track[piece * STEPS_PER_PIECE + step] = y);
         }
     }
     CarTrajectories { position }

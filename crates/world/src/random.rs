@@ -108,18 +108,24 @@ impl NoiseStream {
 
     #[inline]
     pub(crate) fn normal(&mut self) -> f64 {
-        let own = self.normals.sample(&mut self.stream);
-        if self.others.is_empty() { own } else { self.add_others(own) }
+        let [one] = self.normals();
+        one
     }
 
     /// Returns the next normal numbers.
     #[inline]
     pub(crate) fn normals<const N: usize>(&mut self) -> [f64; N] {
-        // A local copy stays in registers.
-        let mut stream = self.stream.clone();
-        let own = std::array::from_fn(|_| self.normals.sample(&mut stream));
+        // Local copies stay in registers.
+        let (mut stream, sampler) = (self.stream.clone(), self.normals);
+        let mut numbers = [0.0; N];
+        for number in &mut numbers {
+            *number = sampler.sample(&mut stream);
+        }
         self.stream = stream;
-        if self.others.is_empty() { own } else { own.map(|one| self.add_others(one)) }
+        if !self.others.is_empty() {
+            self.add_others(&mut numbers);
+        }
+        numbers
     }
 
     /// Returns a uniform number from 0 to 1, which depends on the first seed only.
@@ -129,9 +135,11 @@ impl NoiseStream {
     }
 
     #[cold]
-    fn add_others(&mut self, own: f64) -> f64 {
-        let others = self.others.iter_mut().map(|(stream, weight)| *weight * self.normals.sample(stream));
-        self.weight * own + others.sum::<f64>()
+    fn add_others(&mut self, numbers: &mut [f64]) {
+        for number in numbers {
+            let others = self.others.iter_mut().map(|(stream, weight)| *weight * self.normals.sample(stream));
+            *number = self.weight * *number + others.sum::<f64>();
+        }
     }
 }
 
