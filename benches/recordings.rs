@@ -10,8 +10,8 @@ use std::fs::File;
 use std::io::{BufWriter, Result, Write};
 use std::path::Path;
 
-use crumple_world::recording::map::RecordingMap;
-use crumple_world::recording::{ImportOptions, import};
+use crumple_exchange::recording::map::RecordingMap;
+use crumple_exchange::recording::{ImportOptions, import};
 
 const CHANNELS: usize = 16;
 const PAIRS: &str = r#"version = 1

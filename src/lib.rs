@@ -21,7 +21,8 @@
 //! |---|---|
 //! | [`core`] | digests, rounded numbers, quoted text, progress |
 //! | [`store`] | run folders: atomic files, manifests |
-//! | [`world`] | scenarios, drivers, estimators, two equivalent simulation engines, measures, recordings |
+//! | [`world`] | scenarios, drivers, estimators, two equivalent simulation engines, measures |
+//! | [`exchange`] | scenarios from recordings and from OpenSCENARIO |
 //! | [`search`] | worst cases, falsification |
 //! | [`evidence`] | failure rates and claims with certificates, scenario spaces fitted to recordings |
 //! | [`suites`] | tests modelled on regulations |
@@ -47,6 +48,7 @@
 
 pub use crumple_core as core;
 pub use crumple_evidence as evidence;
+pub use crumple_exchange as exchange;
 pub use crumple_learn as learn;
 pub use crumple_report as report;
 pub use crumple_search as search;

@@ -8,6 +8,7 @@ use std::process::ExitCode;
 use super::output;
 use crumple_evidence::InvalidRate;
 use crumple_evidence::rare::RareError;
+use crumple_exchange::recording::RecordingError;
 use crumple_learn::retrain::RetrainError;
 use crumple_learn::tune::TuneError;
 use crumple_report::assessment::{AssessConfigError, AssessError, CacheError};
@@ -15,7 +16,6 @@ use crumple_search::falsify::campaign::CampaignError;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
 use crumple_suites::SuiteError;
-use crumple_world::recording::RecordingError;
 use crumple_world::scenario::file::FileError;
 use crumple_world::sim::{RefusedController, RunError};
 

@@ -3,8 +3,8 @@
 use serde::Serialize;
 
 use super::CliError;
+use crumple_exchange::recording::{READS_MDF, READS_PARQUET};
 use crumple_report::draw::Svg;
-use crumple_world::recording::{READS_MDF, READS_PARQUET};
 use crumple_world::sim::Trace;
 
 #[derive(Serialize)]

@@ -20,9 +20,9 @@ use crumple_evidence::fit::{
     EpisodeCollector, EpisodeSample, ExtractionConfig, FamilyFit, FittedFeature, FittedSize, FittedSpace, MAX_VEHICLES,
     fit, format_p_value,
 };
+use crumple_exchange::recording::{LeaderSelection, load_parts, merge_dropped};
 use crumple_report::figures;
 use crumple_store::disk::StagedFiles;
-use crumple_world::recording::{LeaderSelection, load_parts, merge_dropped};
 use crumple_world::scenario::space::file;
 
 /// Fit a scenario space to the braking episodes of recordings

@@ -16,15 +16,15 @@ use super::progress::read_bar;
 use super::simulate::OutputFormat;
 use super::{feature, output, simulate, value_enums};
 use crumple_core::quoting::TerminalText;
-use crumple_report::draw::Svg;
-use crumple_report::figures;
-use crumple_store::disk::{DiskError, StagedFiles};
-use crumple_world::recording::guess::guess;
-use crumple_world::recording::map::{BUILT_IN_MAPS, RecordingMap};
-use crumple_world::recording::{
+use crumple_exchange::recording::guess::guess;
+use crumple_exchange::recording::map::{BUILT_IN_MAPS, RecordingMap};
+use crumple_exchange::recording::{
     ImportOptions, ImportResult, ImportedRecording, ImportedScenario, LeaderSelection, MinBrake, Preview, TextFormat,
     hardest_braking, import, load_first_part, preview,
 };
+use crumple_report::draw::Svg;
+use crumple_report::figures;
+use crumple_store::disk::{DiskError, StagedFiles};
 
 /// Turn recorded braking episodes, or OpenSCENARIO files, into scenario files
 #[derive(Args)]

@@ -10,7 +10,7 @@ use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::OutputFormat;
 use super::{export, output};
 use crumple_core::quoting::TerminalText;
-use crumple_world::openscenario::{
+use crumple_exchange::openscenario::{
     ImportedLaneScenario, OpenScenarioSource, ParameterDistributionFile, ScenarioImportError, Variation,
 };
 use crumple_world::scenario::{Scenario, file, space};

@@ -4,7 +4,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use crumple_core::observer::{Listener, Observer, RunProgress};
-use crumple_world::recording::ReadProgress;
+use crumple_exchange::recording::ReadProgress;
 use indicatif::{HumanDuration, ProgressBar, ProgressDrawTarget, ProgressStyle};
 
 /// Creates a bar on standard error, shown only on a terminal.

@@ -13,9 +13,9 @@ use super::{CliError, args, output, progress};
 use crumple_core::digits::format_rounded;
 use crumple_core::quoting::TerminalText;
 use crumple_evidence::exposure::IntervalEstimate;
+use crumple_exchange::recording::replay::{ReplayedBraking, ReplayedDrive, replay};
+use crumple_exchange::recording::{HardestSearch, TextFormat, load_parts, merge_dropped};
 use crumple_world::observation::EstimatorKind;
-use crumple_world::recording::replay::{ReplayedBraking, ReplayedDrive, replay};
-use crumple_world::recording::{HardestSearch, TextFormat, load_parts, merge_dropped};
 use crumple_world::sim::{NamedController, RunOptions};
 
 /// Maximum number of brakings that the text lists; the hardest ones.

@@ -1,10 +1,10 @@
 //! Arguments with a few named values.
 
 use clap::builder::{PossibleValue, PossibleValuesParser, TypedValueParser};
+use crumple_exchange::recording::LeaderSelection;
 use crumple_search::falsify::campaign::EvaluationLog;
 use crumple_search::worst_case::AttackObjective;
 use crumple_world::observation::EstimatorKind;
-use crumple_world::recording::LeaderSelection;
 use crumple_world::scenario::PlantKind;
 use crumple_world::sim::AfterContact;
 

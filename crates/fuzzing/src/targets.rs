@@ -13,13 +13,13 @@ use super::{
     Crumple, Invariant, LANE_ORACLES, ORACLES, OracleContext, OracleOutcome, RunSetup, ScenarioFormat, System,
     TestCase, Violation,
 };
+use crumple_exchange::openscenario::{OpenScenarioSource, ParameterDistributionFile};
+use crumple_exchange::recording::map::RecordingMap;
+use crumple_exchange::recording::mdf::{DbcFile, SignalSet};
+use crumple_exchange::recording::{self, LeaderSelection, MinBrake, find_episodes};
 use crumple_world::measure::stl::{Formula, SampledSignals, SyntaxProblem, naive_robustness};
 use crumple_world::network::NetworkFile;
-use crumple_world::openscenario::{OpenScenarioSource, ParameterDistributionFile};
 use crumple_world::policy::{Policy, Workspace};
-use crumple_world::recording::map::RecordingMap;
-use crumple_world::recording::mdf::{DbcFile, SignalSet};
-use crumple_world::recording::{self, LeaderSelection, MinBrake, find_episodes};
 use crumple_world::scenario::file::{from_toml, to_toml};
 use crumple_world::scenario::{Scenario, built_in_scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunError, RunOptions, simulate};

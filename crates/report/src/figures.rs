@@ -10,8 +10,8 @@ use crate::draw::{
     Anchor, Axis, BOTTOM_MARGIN, HEADING_HEIGHT, Ink, LEFT_MARGIN, Marker, Panel, PixelRect, Stroke, Svg, extent,
     pad_interval,
 };
+use crumple_exchange::recording::{HardestBrakingResult, Preview, SpeedLine};
 use crumple_world::policy::{COLLISION_FREE_REWARD, CurvePoint, LearningCurve};
-use crumple_world::recording::{HardestBrakingResult, Preview, SpeedLine};
 
 /// Width of a figure, and height of its panel, in pixels.
 const FIGURE_WIDTH: f64 = 720.0;

@@ -17,8 +17,6 @@
 //! | [`estimate`] | sensors and the Kalman filter |
 //! | [`sim`] | exact steps, collision times, two engines with identical results, the trace |
 //! | [`measure`] | surrogate safety measures; signal temporal logic and its monitor |
-//! | `recording` | conversion of recorded traffic to scenarios (a feature) |
-//! | `openscenario` | import of OpenSCENARIO (a feature) |
 
 pub mod control;
 pub mod estimate;
@@ -26,14 +24,9 @@ mod idm;
 pub mod measure;
 pub mod network;
 pub mod observation;
-#[cfg(feature = "openscenario")]
-pub mod openscenario;
 pub mod policy;
 pub mod process;
 pub mod random;
-#[cfg(feature = "recording")]
-#[cfg_attr(not(any(feature = "mdf", feature = "parquet")), expect(dead_code, reason = "used by binary formats"))]
-pub mod recording;
 mod required_brake;
 pub mod scenario;
 mod settings;

@@ -1,6 +1,6 @@
 //! `crumple export` and `crumple import --map` on the command line.
 
-use crumple_world::recording::map::{RecordingMap, json_schema};
+use crumple_exchange::recording::map::{RecordingMap, json_schema};
 
 use super::*;
 use crate::schema::{assert_committed, validate};
@@ -8,9 +8,9 @@ use crate::schema::{assert_committed, validate};
 #[test]
 fn the_schema_of_maps_is_committed_and_accepts_the_examples() {
     let schema = json_schema();
-    assert_committed("crates/world/src/recording/map.schema.json", &schema);
+    assert_committed("crates/exchange/src/recording/map.schema.json", &schema);
     let root = Path::new(env!("CARGO_MANIFEST_DIR"));
-    for folder in ["examples/maps", "crates/world/src/recording/built_in"] {
+    for folder in ["examples/maps", "crates/exchange/src/recording/built_in"] {
         for name in file_names_in(&root.join(folder)) {
             let map = RecordingMap::load(&root.join(folder).join(&name)).unwrap_or_else(|error| panic!("{error}"));
             let stated = serde_json::to_value(map.spec()).unwrap();

@@ -2,8 +2,8 @@
 
 use super::episodes::EpisodeSample;
 use super::space::median;
+use crumple_exchange::recording::MAX_PLAUSIBLE_ACCEL_MPS2;
 use crumple_world::control::{AebSettings, ControllerSpec};
-use crumple_world::recording::MAX_PLAUSIBLE_ACCEL_MPS2;
 use crumple_world::scenario::{
     BrakeToSpeed, Driver, Environment, LeadProfile, SCENARIO_VERSION, ScenarioSpec, Sensors, VehicleClass, VehicleSpec,
 };
@@ -32,7 +32,7 @@ pub(super) fn base_scenario(sample: &EpisodeSample, name: &str) -> ScenarioSpec 
         // Far enough apart at any speed; gaps are parameters.
         let position_m = 200.0 * (last - index) as f64;
         let length_m =
-            sample.sizes.get(index).map_or(crumple_world::recording::CAR_LENGTH_M, |sizes| sizes.typical_m());
+            sample.sizes.get(index).map_or(crumple_exchange::recording::CAR_LENGTH_M, |sizes| sizes.typical_m());
         let mut vehicle = VehicleSpec::new(VehicleClass::from_length(length_m), position_m, speed_mps, driver);
         vehicle.length_m = Some(length_m);
         if index == 0 {

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use super::FitError;
 use super::exclusions::ExclusionCounts;
 use super::sizes::VehicleSizes;
-use crumple_world::recording::{
+use crumple_exchange::recording::{
     BrakingEpisode, HardestBrakingResult, HardestSearch, LeaderSelection, MAX_PLAUSIBLE_ACCEL_MPS2, MinBrake,
     Recording, braking_clusters, find_episodes, following_exposure,
 };

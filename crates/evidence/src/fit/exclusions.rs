@@ -2,7 +2,7 @@
 
 use serde::Serialize;
 
-use crumple_world::recording::{DroppedItem, EpisodeProblem, Omission};
+use crumple_exchange::recording::{DroppedItem, EpisodeProblem, Omission};
 
 /// Numbers of brakings that the space does not describe.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default, Serialize)]

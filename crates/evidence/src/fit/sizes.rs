@@ -2,7 +2,7 @@
 
 use super::episodes::EpisodeFeature;
 use super::space::median;
-use crumple_world::recording::CAR_LENGTH_M;
+use crumple_exchange::recording::CAR_LENGTH_M;
 use crumple_world::scenario::VehicleClass;
 
 /// Sizes of the vehicles at one position, over all episodes. A vehicle of a scenario is light or heavy, with the median

@@ -7,9 +7,9 @@ use super::dependence::{self, CopulaColumn};
 use super::episodes::features;
 use super::marginal::FamilyRanking;
 use super::*;
+use crumple_exchange::recording::map::RecordingMap;
+use crumple_exchange::recording::{LeaderSelection, MinBrake, Recording, read};
 use crumple_world::random::{Purpose, stream};
-use crumple_world::recording::map::RecordingMap;
-use crumple_world::recording::{LeaderSelection, MinBrake, Recording, read};
 use crumple_world::scenario::space::{
     Dependence, DistributionSpec, LogNormalSpec, NormalSpec, ObservedData, ObservedParameter, ScenarioSpace,
     ShapeScaleSpec, UniformSpec, file,

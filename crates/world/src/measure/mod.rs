@@ -20,7 +20,7 @@ mod specification;
 pub mod stl;
 #[cfg(test)]
 mod testing;
-pub(crate) mod usefulness;
+mod usefulness;
 
 use serde::{Deserialize, Serialize};
 
@@ -35,9 +35,10 @@ pub use proximity::{time_gap_s, time_headway_s, ttc_s};
 pub use severity::{impact_speed_mps, impacts_of, max_delta_v_mps};
 pub use specification::{BrakingLevel, FirstContact, RunVerdict, Specification, SpecificationError};
 pub use usefulness::{
-    BrakeInstant, CAUSE_LASTS_S, EASY_BRAKE_MPS2, FollowingMeasures, HARD_BRAKE_MPS2, MAX_FOLLOWING_TIME_GAP_S,
-    MIN_BRAKING_S, MIN_BRAKING_SPEED_MPS, MIN_DEVIATION_MPS, MIN_MOVING_SPEED_MPS, SETTLED_TOLERANCE_MPS,
-    SpeedAmplification, UNNECESSARY_MARGIN_MPS2, UnnecessaryBraking, UsefulnessMeasures, justified_brake_mps2,
+    BrakeInstant, CAUSE_LASTS_S, DriveStep, EASY_BRAKE_MPS2, FollowingMeasures, HARD_BRAKE_MPS2,
+    MAX_FOLLOWING_TIME_GAP_S, MIN_BRAKING_S, MIN_BRAKING_SPEED_MPS, MIN_DEVIATION_MPS, MIN_MOVING_SPEED_MPS,
+    SETTLED_TOLERANCE_MPS, SpeedAmplification, UNNECESSARY_MARGIN_MPS2, UnnecessaryBraking, UsefulnessMeasures,
+    justified_brake_mps2,
 };
 
 use crate::sim::{Impact, Trace};

@@ -53,7 +53,8 @@ pub enum FileError {
 
 impl FileError {
     /// Creates the error for an invalid `field` in the TOML text of a file.
-    pub(crate) fn from_field(path: &Path, text: &str, field: &str, problem: impl fmt::Display) -> Self {
+    #[must_use]
+    pub fn from_field(path: &Path, text: &str, field: &str, problem: impl fmt::Display) -> Self {
         Self::Syntax { path: path.to_owned(), line: line_in_toml(text, field), message: format!("{field}: {problem}") }
     }
 
@@ -121,7 +122,8 @@ pub const EXPECTED_FILE_NAME: &str = "expected.verdicts";
 /// Name of the file of verdicts in version 0.1.0.
 pub const LEGACY_EXPECTED_FILE_NAME: &str = "expected.toml";
 
-pub(crate) const MAX_FILES: usize = 10_000;
+/// Maximum number of files that one command reads from a folder.
+pub const MAX_FILES: usize = 10_000;
 
 pub(crate) const MAX_FOLDER_BYTES: u64 = 64 << 20;
 

@@ -25,7 +25,7 @@ pub use outcome::{
 };
 pub use recorder::RecordingLevel;
 pub(crate) use recorder::ttc_s;
-pub use run::{Run, RunError, RunOptions};
+pub use run::{OpenLoopController, Run, RunError, RunOptions};
 pub use scalar::simulate;
 pub use shielding::{Intervention, ShieldRefusal};
 pub use stepper::{StepView, Stepper};

@@ -8,8 +8,8 @@ use super::motion::Motion;
 use super::platoon::PlatoonState;
 use super::shielding::ShieldRefusal;
 use crate::control::{
-    AnyController, ControllerFailure, ControllerKind, Ego, NetworkDriver, PolicyDriver, ProcessDriver,
-    RequiredNeighbours, ShieldParams, ShieldedController, ZeroOrderHold,
+    AnyController, Controller, ControllerFailure, ControllerKind, Ego, NetworkDriver, PolicyDriver, ProcessDriver,
+    RequiredNeighbours, ShieldParams, ShieldedController, ZeroOrderHold, clamp_command,
 };
 use crate::estimate::{EgoEstimator, EgoTuning, TrueState};
 use crate::observation::{EstimatorKind, Neighbour, Observation};
@@ -70,6 +70,23 @@ impl RunOptions {
     pub fn with_after_contact(mut self, after_contact: AfterContact) -> Self {
         self.after_contact = after_contact;
         self
+    }
+}
+
+/// A controller that observes what the caller supplies, and whose commands move no vehicle.
+pub struct OpenLoopController {
+    controller: AnyController,
+    limits: Ego,
+}
+
+impl OpenLoopController {
+    /// Returns the command for an observation, in m/s², within the limits of the vehicle.
+    ///
+    /// # Errors
+    /// [`ControllerFailure`] if the controller gives no answer.
+    pub fn command_mps2(&mut self, observed: &Observation) -> Result<f64, ControllerFailure> {
+        let Ego { max_brake_mps2, max_accel_mps2, .. } = self.limits;
+        Ok(clamp_command(self.controller.decide(observed)?, max_brake_mps2, max_accel_mps2))
     }
 }
 
@@ -258,7 +275,17 @@ impl Run {
         vehicles.iter().enumerate().map(frame).collect()
     }
 
-    pub(crate) fn ego(&self, index: usize) -> Ego {
+    /// Starts the controller under test in vehicle `index`, for observations that the caller supplies; `None` if there
+    /// is no such vehicle.
+    #[must_use]
+    pub fn open_loop_controller(&self, index: usize) -> Option<OpenLoopController> {
+        self.scenario.vehicles().get(index).map(|_| OpenLoopController {
+            controller: self.start_controller(index, &self.options.controller),
+            limits: self.ego(index),
+        })
+    }
+
+    fn ego(&self, index: usize) -> Ego {
         let vehicle = &self.scenario.vehicles()[index];
         Ego {
             vehicle: index,
@@ -296,7 +323,7 @@ impl Run {
         }
     }
 
-    pub(crate) fn start_controller(&self, index: usize, kind: &ControllerKind) -> AnyController {
+    fn start_controller(&self, index: usize, kind: &ControllerKind) -> AnyController {
         let (ego, seed) = (self.ego(index), self.scenario.spec().seed);
         match kind {
             ControllerKind::BuiltIn(spec) => AnyController::from_spec(spec, &ego, seed),

@@ -18,7 +18,7 @@ use std::io;
 use quick_xml::Writer;
 use quick_xml::events::{BytesDecl, BytesEnd, BytesStart, Event};
 
-use crumple_world::openscenario::{ABOUT_ACTIONS, DESCRIPTION_ABOUT, DESCRIPTION_START};
+use crumple_exchange::openscenario::{ABOUT_ACTIONS, DESCRIPTION_ABOUT, DESCRIPTION_START};
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::Trace;
 

@@ -4,14 +4,19 @@ use crate::measure::approach::PairState;
 use crate::measure::severity::impacts_of;
 use crate::sim::{Impact, TIME_TOLERANCE_S, Trace};
 
-#[derive(Clone, Copy)]
-pub(crate) struct DriveStep {
-    pub(crate) time_s: f64,
-    pub(crate) duration_s: f64,
-    pub(crate) speed_mps: f64,
-    pub(crate) acceleration_mps2: f64,
-    /// State relative to the leader at the start of the step; `None` without a leader.
-    pub(crate) ahead: Option<PairState>,
+/// A step of a drive.
+#[derive(Debug, Clone, Copy)]
+pub struct DriveStep {
+    /// Start, in seconds.
+    pub time_s: f64,
+    /// Duration, in seconds.
+    pub duration_s: f64,
+    /// Speed at the start, in m/s.
+    pub speed_mps: f64,
+    /// Acceleration over the step, in m/s².
+    pub acceleration_mps2: f64,
+    /// State relative to the leader at the start; `None` without a leader.
+    pub ahead: Option<PairState>,
 }
 
 impl DriveStep {

@@ -10,7 +10,7 @@ mod unnecessary;
 use serde::{Deserialize, Serialize};
 
 pub use amplification::{MIN_DEVIATION_MPS, SETTLED_TOLERANCE_MPS, SpeedAmplification};
-pub(crate) use drive::DriveStep;
+pub use drive::DriveStep;
 use drive::drive_steps;
 pub use unnecessary::{
     BrakeInstant, CAUSE_LASTS_S, EASY_BRAKE_MPS2, HARD_BRAKE_MPS2, MAX_FOLLOWING_TIME_GAP_S, MIN_BRAKING_S,

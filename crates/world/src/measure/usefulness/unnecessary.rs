@@ -105,7 +105,8 @@ impl UnnecessaryBraking {
     }
 
     /// Measures the braking of a drive.
-    pub(crate) fn from_steps(steps: impl Iterator<Item = DriveStep>) -> Self {
+    #[must_use]
+    pub fn from_steps(steps: impl Iterator<Item = DriveStep>) -> Self {
         Self::from_steps_where(steps, |brake| brake.brake_mps2 > brake.justified_mps2 + UNNECESSARY_MARGIN_MPS2)
     }
 

@@ -196,9 +196,9 @@ impl SpaceParameter {
     }
 }
 
-/// Returns the unit of a field that may vary.
-#[cfg(feature = "openscenario")]
-pub(crate) fn field_unit(path: &str, base: &ScenarioSpec) -> Option<&'static str> {
+/// Returns the unit of a field that may vary, `path`, for the given base scenario; `None` if it may not vary.
+#[must_use]
+pub fn field_unit(path: &str, base: &ScenarioSpec) -> Option<&'static str> {
     field::ParameterField::resolve(path, base).ok().map(|field| field.unit)
 }
 

@@ -3,12 +3,11 @@
 use super::lead_vehicles::LeadVehicle;
 use super::motion::SpeedSample;
 use super::{CAR_LENGTH_M, EpisodeVehicle, Recording};
-use crate::control::{Controller, clamp_command};
-use crate::measure::PairState;
-use crate::measure::usefulness::{DriveStep, MIN_BRAKING_S, UnnecessaryBraking};
-use crate::observation::{Neighbour, Observation};
-use crate::scenario::{Driver, InvalidField, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec};
-use crate::sim::{Run, RunError, RunOptions};
+use crumple_world::control::ControllerFailure;
+use crumple_world::measure::{DriveStep, MIN_BRAKING_S, PairState, UnnecessaryBraking};
+use crumple_world::observation::{Neighbour, Observation};
+use crumple_world::scenario::{Driver, InvalidField, LeadProfile, Scenario, ScenarioSpec, VehicleClass, VehicleSpec};
+use crumple_world::sim::{Run, RunError, RunOptions};
 
 /// Time step, in seconds; states between samples are interpolated.
 const STEP_S: f64 = 0.05;
@@ -203,11 +202,11 @@ fn commands(
     }
     let spec = ScenarioSpec { step_s: STEP_S, ..ScenarioSpec::new("replay".to_owned(), 1.0, vehicles) };
     let run = Run::new(&Scenario::new(spec)?, options.clone())?;
-    let limits = run.ego(1);
-    let mut controller = run.start_controller(1, &run.options().controller);
-    let mut command = |(time_s, observed): &(f64, Observation)| match controller.decide(observed) {
-        Ok(command_mps2) => Ok(clamp_command(command_mps2, limits.max_brake_mps2, limits.max_accel_mps2)),
-        Err(failure) => Err(OpenLoopError::NoAnswer { time_s: *time_s, reason: failure.to_string() }),
+    let Some(mut controller) = run.open_loop_controller(1) else { return Ok(Vec::new()) };
+    let mut command = |(time_s, observed): &(f64, Observation)| {
+        let no_answer =
+            |failure: ControllerFailure| OpenLoopError::NoAnswer { time_s: *time_s, reason: failure.to_string() };
+        controller.command_mps2(observed).map_err(no_answer)
     };
     let commands = steps.iter().enumerate().map(|(index, step)| {
         if index % 256 == 0 {

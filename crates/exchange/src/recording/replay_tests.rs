@@ -3,10 +3,10 @@ use std::sync::Arc;
 
 use super::read;
 use super::replay::replay;
-use crate::control::Controller;
-use crate::control::{ControllerFailure, ControllerKind, ControllerSource, Ego};
-use crate::observation::Observation;
-use crate::sim::RunOptions;
+use crumple_world::control::Controller;
+use crumple_world::control::{ControllerFailure, ControllerKind, ControllerSource, Ego};
+use crumple_world::observation::Observation;
+use crumple_world::sim::RunOptions;
 
 /// Brakes at a rate while the leader brakes, as the recorded driver does a second later.
 struct BrakesWithLeader(f64);

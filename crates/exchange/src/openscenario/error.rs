@@ -3,7 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-use crate::scenario::InvalidField;
+use crumple_world::scenario::InvalidField;
 
 /// An error of importing OpenSCENARIO. Each names the file, and the line if there is one.
 #[derive(Debug, thiserror::Error)]

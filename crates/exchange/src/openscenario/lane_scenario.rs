@@ -6,7 +6,7 @@ use super::error::ScenarioImportError;
 use super::replay::{EntityMotion, REPLAY_STEP_S, Replay};
 use super::speed_plan::SpeedPlan;
 use super::xml::Node;
-use crate::scenario::{Driver, LaneChange, Scenario, ScenarioSpec, VehicleSpec};
+use crumple_world::scenario::{Driver, LaneChange, Scenario, ScenarioSpec, VehicleSpec};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 

@@ -8,7 +8,7 @@ use serde_json::Value;
 use super::distribution::ParameterDistributionFile;
 use super::error::ScenarioImportError;
 use super::{ImportedLaneScenario, OpenScenarioSource};
-use crate::scenario::space::{
+use crumple_world::scenario::space::{
     Base, DistributionSpec, HistogramSpec, NormalSpec, ParameterSpec, SPACE_VERSION, ScenarioSpace, SpaceSpec,
     UniformSpec,
 };
@@ -65,7 +65,7 @@ impl OpenScenarioSource {
             }
             let factor = (to - from) / (high - low);
             let map = |value: f64| from + factor * (value - low);
-            let unit = crate::scenario::space::field_unit(field, &base).unwrap_or_default().to_owned();
+            let unit = crumple_world::scenario::space::field_unit(field, &base).unwrap_or_default().to_owned();
             let (name, field) = (identifier(name), field.clone());
             parameters.push(ParameterSpec {
                 name,

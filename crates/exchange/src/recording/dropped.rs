@@ -5,7 +5,7 @@ use std::path::PathBuf;
 
 use super::consistency::ColumnContradiction;
 use super::error::format_place;
-use crate::scenario::{InvalidField, format_compact};
+use crumple_world::scenario::{InvalidField, format_compact};
 
 /// Advice about values that are possible, but not usual in traffic.
 pub(super) const CHECK_UNIT: &str = "more than is usual in traffic, so check the unit in the map";

@@ -247,7 +247,7 @@ fn names_of_imported_scenarios_are_distinct_and_errors_end_the_import() {
     let names: Vec<_> = scenarios.iter().map(|s| s.file_name.as_str()).collect();
     assert_eq!(names, ["openacc-long-setting-16-01.toml", "openacc-long-setting-16-02.toml"]);
     for imported in &scenarios {
-        let read_back = crate::scenario::file::from_toml(&imported.toml, Path::new(&imported.file_name));
+        let read_back = crumple_world::scenario::file::from_toml(&imported.toml, Path::new(&imported.file_name));
         assert_eq!(read_back.expect("valid"), imported.scenario);
     }
     let with_missing = [paths[0].clone(), dir.path().join("gone.csv")];

@@ -41,7 +41,7 @@ use self::road::RoadMap;
 use self::source::{FileCache, SourceFiles};
 use self::storyboard::Stories;
 use self::xml::{Node, SourceElement};
-use crate::scenario::Scenario;
+use crumple_world::scenario::Scenario;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 

@@ -8,8 +8,8 @@ use super::error::ScenarioImportError;
 use super::parameters::{Parameters, read_assignment};
 use super::source::FileCache;
 use super::xml::{Node, SourceElement};
-use crate::scenario::file::MAX_FILES;
-use crate::scenario::space::{DistributionSpec, HistogramSpec, NormalSpec, UniformSpec};
+use crumple_world::scenario::file::MAX_FILES;
+use crumple_world::scenario::space::{DistributionSpec, HistogramSpec, NormalSpec, UniformSpec};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 

@@ -2,8 +2,8 @@
 
 use std::fmt::Write as _;
 
-use crate::control::{AebSettings, ControllerSpec};
-use crate::scenario::{
+use crumple_world::control::{AebSettings, ControllerSpec};
+use crumple_world::scenario::{
     Driver, InvalidField, LeadProfile, RecordedSpeeds, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,
 };
 

@@ -4,7 +4,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use super::consistency::ColumnContradiction;
-use crate::scenario::{file::FileError, format_compact};
+use crumple_world::scenario::{file::FileError, format_compact};
 
 /// An error of a recording. Parts that are merely dropped are [`super::DroppedItem`]s.
 #[derive(Debug, thiserror::Error)]

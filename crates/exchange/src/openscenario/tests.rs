@@ -1,8 +1,8 @@
 use super::{OpenScenarioSource, ParameterDistributionFile};
-use crate::control::ControllerSpec;
-use crate::observation::EstimatorKind;
-use crate::scenario::{Driver, LaneChange, LeadProfile, Scenario};
-use crate::sim::{RecordingLevel, Run, RunOptions, simulate};
+use crumple_world::control::ControllerSpec;
+use crumple_world::observation::EstimatorKind;
+use crumple_world::scenario::{Driver, LaneChange, LeadProfile, Scenario};
+use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
 /// A road of two lanes of 3.5 m to the right of the reference line, which starts at x = 10 m.
 const ROAD: &str = r#"<OpenDRIVE><road id="7" length="5000" junction="-1">

@@ -4,8 +4,8 @@ use super::error::ScenarioImportError;
 use super::parameters::{Parameters, read_assignment};
 use super::source::SourceFiles;
 use super::xml::Node;
-use crate::control::ControllerSpec;
-use crate::scenario::{Driver, VehicleClass};
+use crumple_world::control::ControllerSpec;
+use crumple_world::scenario::{Driver, VehicleClass};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
