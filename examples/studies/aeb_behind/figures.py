@@ -3,8 +3,8 @@
 import re
 import sys
 
-from drives import (ASSISTED, ASSISTED_EARLY, BRAKE, CHANGED, CLASSES, COASTING, EARLY, FOLLOWERS, HUMAN, MPH, REFERENCE,
-                    SHOWN, clopper_pearson, label)
+from drives import (ASSISTED, ASSISTED_EARLY, BRAKE, CHANGED, CLASSES, COASTING, EARLY, FOLLOWERS, HUMAN, MPH,
+                    REFERENCE, SHOWN, clopper_pearson, label)
 
 
 def number(value, is_signed=False, digits=1):
