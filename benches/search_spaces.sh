@@ -5,6 +5,7 @@
 #
 # Writes a text and a CSV file for each space to FOLDER. Takes 15 minutes on two cores.
 set -euo pipefail
+[ $# = 3 ] || { sed -n 's/^#     //p' "$0" >&2; exit 2; }
 crumple=$(realpath "$1")
 corpora=$(realpath "$(dirname "$0")/../corpora/spaces")
 studies=$(realpath "$(dirname "$0")/../examples/studies")
@@ -33,5 +34,9 @@ further)
     compare firm.toml policy firm 60000
     compare "$studies/emergencies.toml" road emergencies 60000
     compare "$corpora/gentle-leader.toml" match-leader gentle-leader 60000
+    ;;
+*)
+    echo "error: built-in or further, not $3" >&2
+    exit 2
     ;;
 esac

@@ -49,7 +49,7 @@ def draw(title, controllers, passing):
         text = label(name).replace("`", "")
         names.append(f'<text x="{left + size + 24}" y="{top + 42 + 20 * number}" fill="{color}">'
                      f'{number} {text}</text>')
-    for line, color, text in ((0, "#0060a0", "blue circles pass, as modelled,"),
-                              (1, "#c04000", "red squares fail the tests")):
+    for line, color, text in ((0, "#0060a0", "blue circles: pass the modelled tests"),
+                              (1, "#c04000", "red squares: fail")):
         out.append(f'<text x="{left + size + 24}" y="{top + 10 + 16 * line}" fill="{color}">{text}</text>')
     return "\n".join([*out, *markers, *names, "</svg>\n"])

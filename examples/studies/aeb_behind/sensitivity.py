@@ -54,10 +54,10 @@ def sensitivity_statements(cells):
     harm = {name: row[1] for name, row in cells.items()}
     low, *_, high = sorted((text.split()[0] for text in harm.values()), key=lambda text: float(text.replace("−", "-")))
     return [
-        f"In a second sample, with human drivers behind only: {harm['follower has an emergency brake']} per 1000 if "
-        f"they have the brake, too, {harm['base case']} if not",
-        f"{harm['base case']} in the second, and {low} to {high} over the assumptions of the "
-        f"[last table](#which-assumptions-matter-most) (reaction 2.0 s: {harm['reaction 2.0 s'].split()[0]})",
+        f"with only human drivers behind, injuries change by {harm['follower has an emergency brake']} per 1000 if the "
+        f"vehicles behind also have the brake, and by {harm['base case']} if they do not",
+        f"and by {harm['base case']} in the second. If one assumption changes, the result is between {low} (all vehicles "
+        f"behind are cars) and {high} (very late perception behind)",
     ]
 
 

@@ -119,7 +119,7 @@ fn filter_rate(state: &RandomInputs) -> f64 {
     5.0 - noisy_filter_errors(state)[1].abs()
 }
 
-/// Estimates with 24 seeds. Checks the ratios to the truth, their mean, the number of intervals that contain the truth,
+/// Estimates with some seeds. Checks the ratios to the truth, their mean, the number of intervals that contain the truth,
 /// and the number of runs.
 fn assert_close(
     (name, problem, truth): &(&str, ClosedFormLimitState, f64),
