@@ -80,7 +80,8 @@ impl ControllerCheck {
         self
     }
 
-    /// Sets the number of cases, unless the environment variable `CRUMPLE_TEST_CASES` does.
+    /// Sets the number of cases, unless the environment variable `CRUMPLE_TEST_CASES` does. A test stops after 4096
+    /// cases, or a multiple of 4096, of which one violates a property.
     pub fn cases(mut self, normal: u32) -> Self {
         self.cases = normal;
         self
