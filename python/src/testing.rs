@@ -79,8 +79,9 @@ impl PyProperty {
     }
 
     #[staticmethod]
-    fn specification(text: &str) -> Self {
-        Self(Property::specification(text))
+    fn specification(py: Python<'_>, text: &str) -> PyResult<Self> {
+        let property = Property::specification(text);
+        property.map(Self).map_err(|error| errors::exception(py, ExceptionClass::Formula, &error))
     }
 
     #[staticmethod]

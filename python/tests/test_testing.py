@@ -90,6 +90,8 @@ def test_an_exception_of_the_controller_is_in_the_message(tmp_path):
         raise ValueError("a table ends here")
 
     assert "a table ends here" in str(violation(faulty, testing.any_scenario(), folder=tmp_path))
+    with pytest.raises(crumple.errors.FormulaError, match="column"):
+        testing.Property.specification("always v1.speed_mps >")
 
 
 def test_scenarios_and_spaces_can_be_pickled():

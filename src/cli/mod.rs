@@ -77,8 +77,9 @@ const TASKS: &[(&str, &[&str])] = &[
     ("Use recorded data", &["import", "fit", "replay"]),
     ("Manage results", &["fsck"]),
     ("Look up", &["list", "show", "describe", "doctor"]),
-    ("Set up", &["new", "completions", "man"]),
+    ("Set up", SETUP),
 ];
+const SETUP: &[&str] = &["new", "completions", "man"];
 
 /// Tests longitudinal driving controllers in simulation, before they reach the road.
 #[derive(Parser)]
@@ -193,7 +194,14 @@ fn build_command() -> clap::Command {
         "{{about-with-newline}}\n{{usage-heading}} {{usage}}\n{}\nOptions:\n{{options}}{{after-help}}",
         list_by_task(&command)
     );
-    command.help_template(template).mut_subcommands(with_exit_codes).mut_subcommands(with_negative_numbers)
+    let command = command.help_template(template).mut_subcommands(with_exit_codes);
+    SETUP.iter().fold(command, hide_external).mut_subcommands(with_negative_numbers)
+}
+
+/// Hides `--allow-external` in the help of a subcommand that starts no controller.
+fn hide_external(command: clap::Command, name: &&'static str) -> clap::Command {
+    let hidden = clap::Arg::new("allow_external").long("allow-external").action(clap::ArgAction::SetTrue).hide(true);
+    command.mut_subcommand(name, |subcommand| subcommand.arg(hidden))
 }
 
 /// Returns the subcommands with their descriptions, under the headings of [`TASKS`].

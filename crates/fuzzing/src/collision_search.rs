@@ -81,7 +81,7 @@ impl CollisionSearch {
             {
                 test_case.scenario = scenario;
             }
-            test_case = test_case.with_controller(controller.clone());
+            test_case.setup.controller = controller.clone();
         }
         test_case
     }

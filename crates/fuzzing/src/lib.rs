@@ -70,12 +70,6 @@ impl TestCase {
         Self { scenario: with_lane_changes(scenario, &mut from), setup }
     }
 
-    #[must_use]
-    pub(crate) fn with_controller(mut self, controller: TestedController) -> Self {
-        self.setup.controller = controller;
-        self
-    }
-
     /// Checks all oracles and returns the simulated run.
     ///
     /// # Errors

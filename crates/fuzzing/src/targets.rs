@@ -402,6 +402,6 @@ pub fn work_folder(bytes: &[u8]) -> Result<(), Violation> {
     }
 }
 
-fn ensure(holds: bool, law: Invariant, input: &str, finding: impl FnOnce() -> String) -> Result<(), Violation> {
-    if holds { Ok(()) } else { Err(Violation { invariant: law, finding: finding(), reproducer: input.to_owned() }) }
+fn ensure(holds: bool, invariant: Invariant, input: &str, finding: impl FnOnce() -> String) -> Result<(), Violation> {
+    if holds { Ok(()) } else { Err(Violation { invariant, finding: finding(), reproducer: input.to_owned() }) }
 }

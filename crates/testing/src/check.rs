@@ -1,7 +1,7 @@
 //! Tests of a controller in many scenarios.
 
 use std::path::{Path, PathBuf};
-use std::{env, fs, thread};
+use std::{env, fs, panic, thread};
 
 use crumple_core::digest::sha256;
 use crumple_core::quoting::ShellWord;
@@ -17,6 +17,8 @@ use super::shrink::{ShrunkScenario, shrink};
 use super::{ControllerUnderTest, Property, PropertyVerdict, Scenarios, ScenariosError, drawing};
 
 const DEFAULT_CASES: u32 = 256;
+/// Number of cases after which a test stops if one of them violates a property.
+const BATCH_CASES: u32 = 4096;
 /// Environment variables: number of cases and seed of every check, and a scenario file that replaces all cases.
 const CASES: &str = "CRUMPLE_TEST_CASES";
 const SEED: &str = "CRUMPLE_TEST_SEED";
@@ -78,7 +80,8 @@ impl ControllerCheck {
         self
     }
 
-    /// Sets the number of cases, unless the environment variable `CRUMPLE_TEST_CASES` does.
+    /// Sets the number of cases, unless the environment variable `CRUMPLE_TEST_CASES` does. A test stops after 4096
+    /// cases, or a multiple of 4096, of which one violates a property.
     pub fn cases(mut self, normal: u32) -> Self {
         self.cases = normal;
         self
@@ -120,14 +123,21 @@ impl ControllerCheck {
     #[expect(clippy::panic, reason = "fuzzers report panics")]
     pub fn assert_input(&self, bytes: &[u8]) {
         let scenarios = self.scenarios.as_ref().unwrap_or_else(|error| panic!("{error}"));
-        for property in &self.properties() {
-            if let PropertyVerdict::Violated(finding) = self.evaluate(property, &scenarios.read(bytes)) {
-                let count = "an input of a fuzzer violates it".to_owned();
-                match self.shrink_and_write(property, finding, scenarios, bytes, count) {
-                    Ok(failure) => panic!("{failure}"),
-                    Err(error) => panic!("{error}"),
-                }
-            }
+        // libFuzzer's hook ends the program at the first panic of a controller, before shrinking.
+        let hook = panic::take_hook();
+        panic::set_hook(Box::new(|_| ()));
+        let failure = self.properties().into_iter().find_map(|property| {
+            let PropertyVerdict::Violated(finding) = self.evaluate(&property, &scenarios.read(bytes)) else {
+                return None;
+            };
+            let count = "an input of a fuzzer violates it".to_owned();
+            Some(self.shrink_and_write(&property, finding, scenarios, bytes, count))
+        });
+        panic::set_hook(hook);
+        match failure {
+            Some(Ok(failure)) => panic!("{failure}"),
+            Some(Err(error)) => panic!("{error}"),
+            None => {}
         }
     }
 
@@ -161,32 +171,40 @@ impl ControllerCheck {
                 }
             }
         }
-        let all: Vec<Vec<u8>> = (0..u64::from(cases))
-            .map(|case| scenarios.random_bytes(&mut stream(self.seed, Purpose::ScenarioSampling, case)))
-            .collect();
         let mut summary = CheckSummary { evaluated: 0, not_applicable: 0 };
         for property in &properties {
-            let verdicts: Vec<_> =
-                all.par_iter().map(|bytes| self.evaluate(property, &scenarios.read(bytes))).collect();
-            let mut violations = verdicts.iter().zip(&all).filter_map(|(verdict, bytes)| match verdict {
-                PropertyVerdict::Violated(finding) => Some((finding, bytes)),
-                _ => None,
-            });
-            if let Some((finding, bytes)) = violations.next() {
-                let failing = 1 + violations.count();
-                let count = format!("{failing} of {} cases violate it (seed {})", self.cases, self.seed);
-                return Err(self.shrink_and_write(property, finding.clone(), &scenarios, bytes, count)?.into());
+            let (mut not_applicable, mut last_reason) = (0, String::new());
+            for from in (0..cases).step_by(BATCH_CASES as usize) {
+                let to = cases.min(from.saturating_add(BATCH_CASES));
+                let evaluate = |case: u32| {
+                    let mut rng = stream(self.seed, Purpose::ScenarioSampling, case.into());
+                    let bytes = scenarios.random_bytes(&mut rng);
+                    (self.evaluate(property, &scenarios.read(&bytes)), bytes)
+                };
+                let batch: Vec<_> = (from..to).into_par_iter().map(evaluate).collect();
+                let (mut failing, mut first) = (0, None);
+                for (verdict, bytes) in batch {
+                    match verdict {
+                        PropertyVerdict::Holds => {}
+                        PropertyVerdict::NotApplicable(reason) => {
+                            not_applicable += 1;
+                            last_reason = reason;
+                        }
+                        PropertyVerdict::Violated(finding) => {
+                            failing += 1;
+                            first.get_or_insert((finding, bytes));
+                        }
+                    }
+                }
+                if let Some((finding, bytes)) = first {
+                    let count = format!("{failing} of {to} cases violate it (seed {})", self.seed);
+                    return Err(self.shrink_and_write(property, finding, &scenarios, &bytes, count)?.into());
+                }
             }
-            let mut reasons = verdicts.iter().filter_map(|verdict| match verdict {
-                PropertyVerdict::NotApplicable(reason) => Some(reason),
-                _ => None,
-            });
-            let not_applicable = reasons.clone().count();
-            if let Some(reason) = reasons.next_back().filter(|_| not_applicable == verdicts.len()) {
-                let property = property.name().to_owned();
-                return Err(CheckError::NotTested { property, reason: reason.clone() });
+            if not_applicable > 0 && not_applicable == cases as usize {
+                return Err(CheckError::NotTested { property: property.name().to_owned(), reason: last_reason });
             }
-            summary.evaluated += verdicts.len();
+            summary.evaluated += cases as usize;
             summary.not_applicable += not_applicable;
         }
         Ok(summary)

@@ -5,6 +5,7 @@ use std::fmt;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
+use crumple_core::digits::format_rounded;
 use crumple_search::falsify::counterexample::Avoidability;
 use crumple_world::control::ControllerKind;
 use crumple_world::measure::{
@@ -44,7 +45,8 @@ impl fmt::Debug for Property {
 }
 
 impl Property {
-    /// Creates a property from a function. A scenario for which the function returns an error does not test it.
+    /// Creates a property from a function. A scenario for which the function returns an error does not test it. Line
+    /// breaks in the name become spaces.
     pub fn new(
         name: impl Into<String>,
         evaluate: impl Fn(&ControllerUnderTest, &Scenario) -> Result<PropertyVerdict, SpecificationError>
@@ -52,7 +54,7 @@ impl Property {
         + Sync
         + 'static,
     ) -> Self {
-        Self { name: name.into(), evaluate: Arc::new(evaluate) }
+        Self { name: name.into().replace(char::is_control, " "), evaluate: Arc::new(evaluate) }
     }
 
     /// No collision that some driver of the vehicles under test could have avoided, in front of them or behind.
@@ -61,11 +63,13 @@ impl Property {
         Self::new("no avoidable collision", |controller, scenario| {
             let verdict = controller.evaluate(&Specification::NoContact, scenario)?;
             if verdict.contact.is_none() {
-                return Ok(from_run(&verdict));
+                return Ok(from_run(controller, scenario, &verdict));
             }
             let avoidability = Avoidability::classify_contact(scenario);
             Ok(match (avoidability.is_avoidable(), avoidability.describe().unwrap_or_default()) {
-                (Some(true), reason) => PropertyVerdict::Violated(format!("{}; {reason}", describe(&verdict))),
+                (Some(true), reason) => {
+                    PropertyVerdict::Violated(format!("{}; {reason}", describe(controller, scenario, &verdict)))
+                }
                 (Some(false), _) => PropertyVerdict::Holds,
                 (None, reason) => PropertyVerdict::NotApplicable(reason),
             })
@@ -77,7 +81,7 @@ impl Property {
     pub fn no_unnecessary_braking() -> Self {
         Self::new("no unnecessary braking", |controller, scenario| {
             let rule = Specification::DrivingRule(DrivingRule::NoUnnecessaryBraking);
-            Ok(from_run(&controller.evaluate(&rule, scenario)?))
+            Ok(from_run(controller, scenario, &controller.evaluate(&rule, scenario)?))
         })
     }
 
@@ -102,7 +106,8 @@ impl Property {
             };
             let worst = found.of_each.iter().flatten().fold(0.0, |worst: f64, &ratio| worst.max(ratio));
             Ok(violated_if(found.has_amplification(), || {
-                format!("a vehicle deviates {worst:.2} times as much from its speed as its leader")
+                let excess = format_rounded(100.0 * (worst - 1.0), 2);
+                format!("a vehicle deviates {excess} % more from its speed than its leader")
             }))
         })
     }
@@ -117,19 +122,25 @@ impl Property {
             let of_each = under_test.filter_map(|(_, track)| peak_jerk_mps3(&trace.time_s, track, JERK_WINDOW_S));
             let peak_mps3 = of_each.fold(0.0, f64::max);
             Ok(failure_of(&result).unwrap_or_else(|| {
-                violated_if(max_mps3.is_nan() || peak_mps3 > max_mps3, || format!("the jerk is {peak_mps3:.1} m/s³"))
+                violated_if(max_mps3.is_nan() || peak_mps3 > max_mps3, || {
+                    format!("the jerk exceeds this by {} m/s³", format_rounded(peak_mps3 - max_mps3, 2))
+                })
             }))
         })
     }
 
     /// A specification: `no contact`, a driving rule, or a formula of signal temporal logic
     /// ([`Specification::parse`]). A scenario without the signals of the formula does not test it.
-    #[must_use]
-    pub fn specification(text: &str) -> Self {
+    ///
+    /// # Errors
+    /// [`SpecificationError`] for text that does not parse.
+    pub fn specification(text: &str) -> Result<Self, SpecificationError> {
+        text.parse::<Specification>()?;
         let text = text.to_owned();
-        Self::new(text.clone(), move |controller, scenario| {
-            Ok(from_run(&controller.evaluate(&Specification::parse(&text, scenario)?, scenario)?))
-        })
+        Ok(Self::new(text.clone(), move |controller, scenario| {
+            let verdict = controller.evaluate(&Specification::parse(&text, scenario)?, scenario)?;
+            Ok(from_run(controller, scenario, &verdict))
+        }))
     }
 
     /// No collision in a scenario that this reference passes.
@@ -138,7 +149,7 @@ impl Property {
         let kind = reference.into();
         Self::new("no collision that the reference avoids", move |controller, scenario| {
             let reference = ControllerUnderTest { kind: kind.clone(), ..controller.clone() };
-            differs(controller.evaluate(&Specification::NoContact, scenario)?, "the reference avoids it", || {
+            differs(controller, scenario, "the reference avoids it", || {
                 reference.evaluate(&Specification::NoContact, scenario)
             })
         })
@@ -152,9 +163,7 @@ impl Property {
             let Some(partner) = relation.partner(scenario) else {
                 return Ok(PropertyVerdict::NotApplicable("the partner scenario would be invalid".to_owned()));
             };
-            differs(controller.evaluate(&Specification::NoContact, scenario)?, &reason, || {
-                controller.evaluate(&Specification::NoContact, &partner)
-            })
+            differs(controller, scenario, &reason, || controller.evaluate(&Specification::NoContact, &partner))
         })
     }
 
@@ -181,7 +190,8 @@ impl Property {
             Ok(Ok(verdict)) => verdict,
             Ok(Err(error)) => PropertyVerdict::NotApplicable(error.to_string()),
             Err(panic) => {
-                PropertyVerdict::Violated(format!("the controller panics: {}", panic_message(panic.as_ref())))
+                let message = panic_message(panic.as_ref());
+                PropertyVerdict::Violated(format!("the controller or the property panics: {message}"))
             }
         }
     }
@@ -191,32 +201,44 @@ fn violated_if(condition: bool, finding: impl FnOnce() -> String) -> PropertyVer
     if condition { PropertyVerdict::Violated(finding()) } else { PropertyVerdict::Holds }
 }
 
-fn from_run(verdict: &RunVerdict) -> PropertyVerdict {
-    violated_if(verdict.is_violation(), || describe(verdict))
+fn from_run(controller: &ControllerUnderTest, scenario: &Scenario, verdict: &RunVerdict) -> PropertyVerdict {
+    violated_if(verdict.is_violation(), || describe(controller, scenario, verdict))
 }
 
-/// Returns the verdict of a run that may fail only if the run to compare with fails, too.
+/// Returns the verdict of a run that may collide only if the run to compare with does, too.
 fn differs(
-    own: RunVerdict,
+    controller: &ControllerUnderTest,
+    scenario: &Scenario,
     reason: &str,
     other: impl FnOnce() -> Result<RunVerdict, SpecificationError>,
 ) -> Result<PropertyVerdict, SpecificationError> {
-    Ok(violated_if(own.is_violation() && !other()?.is_violation(), || format!("{}; {reason}", describe(&own))))
+    let own = controller.evaluate(&Specification::NoContact, scenario)?;
+    let is_worse = own.is_violation() && !other()?.is_violation();
+    Ok(violated_if(is_worse, || format!("{}; {reason}", describe(controller, scenario, &own))))
 }
 
-fn describe(verdict: &RunVerdict) -> String {
+fn describe(controller: &ControllerUnderTest, scenario: &Scenario, verdict: &RunVerdict) -> String {
+    let robustness = format_rounded(verdict.robustness, 3);
     match (verdict.failure, verdict.contact) {
-        (Some((time_s, vehicle)), _) => format!("the controller of vehicle {vehicle} gives no answer at {time_s:.2} s"),
+        (Some((time_s, vehicle)), _) => {
+            // A verdict has no reason of the failure.
+            let again = controller.simulate(scenario).ok();
+            let failed = again.as_ref().and_then(|result| result.outcome.failed_controller());
+            failed.map_or_else(
+                || format!("the controller of vehicle {vehicle} fails at {time_s:.2} s"),
+                |f| f.to_string(),
+            )
+        }
         (None, Some(contact)) => format!(
-            "vehicle {} hits vehicle {} at {:.2} s with {:.1} m/s (robustness {:.3})",
-            contact.rear_vehicle, contact.front_vehicle, contact.time_s, contact.impact_speed_mps, verdict.robustness
+            "vehicle {} hits vehicle {} at {:.2} s with {:.1} m/s (robustness {robustness})",
+            contact.rear_vehicle, contact.front_vehicle, contact.time_s, contact.impact_speed_mps
         ),
-        (None, None) => format!("robustness {:.3}", verdict.robustness),
+        (None, None) => format!("robustness {robustness}"),
     }
 }
 
 fn failure_of(result: &SimulationResult) -> Option<PropertyVerdict> {
-    result.outcome.failed_controller().map(|failed| PropertyVerdict::Violated(failed.reason()))
+    result.outcome.failed_controller().map(|failed| PropertyVerdict::Violated(failed.to_string()))
 }
 
 fn panic_message(panic: &(dyn Any + Send)) -> &str {

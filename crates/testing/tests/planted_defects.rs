@@ -50,8 +50,25 @@ fn no_scenario_and_failures_that_do_not_recur_are_reported() {
     let failed = check(stateless(once)).on("alone").corpus(folder.path()).cases(3).run();
     let Err(CheckError::Violated(failure)) = failed else { panic!("{failed:?}") };
     let text = failure.to_string();
-    assert!(text.contains("gives no answer") && text.contains("does not recur") && !text.contains("replay"), "{text}");
+    assert!(text.contains("fails at 0.00 s; this does not recur") && !text.contains("replay"), "{text}");
     assert_eq!(folder.path().read_dir().unwrap().count(), 0);
+}
+
+/// A panic of a property is a finding, and its name one line. Only formulas that parse are properties.
+#[test]
+fn findings_name_their_reason() {
+    let folder = tempfile::tempdir().unwrap();
+    let test = |decide: Defect, property| {
+        let test = check(stateless(decide)).on("alone").corpus(folder.path()).cases(5000).property(property);
+        test.run().unwrap_err().to_string()
+    };
+    let text = test(sound, Property::new("one\nline", |_, _| panic!("a table ends here")));
+    for expected in ["violated: one line\n", "property panics: a table ends here\n", "4096 of 4096 cases", "replay: "] {
+        assert!(text.contains(expected), "{expected}: {text}");
+    }
+    let text = test(|_| f64::INFINITY, Property::no_avoidable_collision());
+    assert!(text.contains("vehicle 1 failed at 0.00 s: it answered with a number that is not finite"), "{text}");
+    assert!(Property::specification("always v1.speed_mps >").is_err());
 }
 
 #[test]
@@ -91,7 +108,7 @@ fn ten_planted_defects_shrink_to_few_changes() {
                 if seen.behind.is_some_and(|behind| behind.gap_m < 15.0) { -6.0 } else { sound(seen) }
             }),
             ("traffic", Property::bounded_jerk(25.0), |seen| if seen.speed_mps < 12.0 { -4.0 } else { sound(seen) }),
-            ("traffic", Property::specification("always v1.speed_mps < 36"), |seen| {
+            ("traffic", Property::specification("always v1.speed_mps < 36").unwrap(), |seen| {
                 if gap_m(seen) > 50.0 { 1.5 } else { sound(seen) }
             }),
             ("alone", not_worse(), |seen| {

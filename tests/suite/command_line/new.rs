@@ -33,6 +33,7 @@ fn a_project_has_its_name_and_never_replaces_anything() {
         assert_refused(&run_crumple(folder.path(), &format!("new {arguments}")), reason);
     }
     assert!(!folder.path().join("fine").exists());
+    assert!(!stdout(&run_ok(folder.path(), "new --help")).contains("--allow-external"));
 }
 
 fn all_files(folder: &Path) -> BTreeSet<std::path::PathBuf> {

@@ -114,8 +114,11 @@ impl<'t> OracleContext<'t> {
     /// # Errors
     /// The [`Violation`] that the oracle found.
     pub fn check(&self, oracle: OracleFn) -> Result<OracleOutcome, Violation> {
-        let reproducer = || self.test_case.reproducer();
-        oracle(self).map_err(|(law, finding)| Violation { invariant: law, finding, reproducer: reproducer() })
+        oracle(self).map_err(|(invariant, finding)| Violation {
+            invariant,
+            finding,
+            reproducer: self.test_case.reproducer(),
+        })
     }
 
     fn trace(&self) -> Result<&Trace, (Invariant, String)> {
@@ -131,6 +134,6 @@ pub fn is_grazing(result: &SimulationResult) -> bool {
     soft || result.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).any(near)
 }
 
-fn ensure(holds: bool, law: Invariant, finding: impl FnOnce() -> String) -> Result<(), (Invariant, String)> {
-    if holds { Ok(()) } else { Err((law, finding())) }
+fn ensure(holds: bool, invariant: Invariant, finding: impl FnOnce() -> String) -> Result<(), (Invariant, String)> {
+    if holds { Ok(()) } else { Err((invariant, finding())) }
 }

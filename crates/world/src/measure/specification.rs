@@ -1,9 +1,10 @@
 //! Specifications of a controller, and the robustness of a run.
 
 use std::fmt;
+use std::str::FromStr;
 
 use super::stl::{
-    Formula, FormulaParseError, FormulaPart, MonitorError, SampledSignals, SignalsError, motion_signal_names,
+    Formula, FormulaParseError, FormulaPart, MIN_VIOLATION, MonitorError, SignalsError, motion_signal_names,
     motion_signals, signal_column,
 };
 use super::{ContactRole, DrivingRule};
@@ -171,9 +172,6 @@ impl BrakingLevel {
 /// Maximum number of values that [`Specification::parts_over_time`] returns.
 const MAX_PART_VALUES: usize = 20_000_000;
 
-/// Smallest violation: a contact at impact speed 0 must have negative robustness.
-const MIN_VIOLATION: f64 = 1e-9;
-
 impl Specification {
     /// Name of the default specification.
     pub const NO_CONTACT: &str = "no contact";
@@ -184,16 +182,8 @@ impl Specification {
     /// [`SpecificationError`] for text that does not parse, names a signal that runs of `nominal` do not have, or
     /// refers to times after their end.
     pub fn parse(text: &str, nominal: &Scenario) -> Result<Self, SpecificationError> {
-        if text == Self::NO_CONTACT {
-            return Ok(Self::NoContact);
-        }
-        if let Ok(conduct) = text.parse() {
-            return Ok(Self::DrivingRule(conduct));
-        }
-        let formula: Formula = text.parse().map_err(|formula| match text.contains(['<', '>']) {
-            true => SpecificationError::Parse(formula),
-            false => SpecificationError::UnknownRule { formula },
-        })?;
+        let specification = text.parse()?;
+        let Self::Formula(formula) = &specification else { return Ok(specification) };
         let known = motion_signal_names(nominal.vehicles().len());
         if let Some(name) = formula.signal_names().into_iter().find(|name| !known.iter().any(|k| k == name)) {
             let column = signal_column(text, name).unwrap_or(1);
@@ -204,7 +194,7 @@ impl Specification {
         if horizon_s.is_finite() && horizon_s > duration_s {
             return Err(SpecificationError::HorizonTooLong { horizon_s, duration_s });
         }
-        Ok(Self::Formula(formula))
+        Ok(specification)
     }
 
     /// Returns a warning if a part of a formula is evaluated only at the first sample.
@@ -260,7 +250,7 @@ impl Specification {
             (Self::Formula(formula), _) => {
                 let trace = result.trace.as_ref().ok_or(SpecificationError::NoTrace)?;
                 let signals = motion_signals(trace, run.dt_s(), &formula.signal_names())?;
-                evaluate_formula(formula, &signals)?
+                formula.decided_robustness(&signals, 1)?.first().copied().unwrap_or(f64::NAN)
             }
             (Self::DrivingRule(conduct), _) => {
                 conduct.robustness(run.scenario(), result).ok_or(SpecificationError::NoTrace)?
@@ -290,13 +280,6 @@ impl Specification {
     }
 }
 
-/// At robustness 0, the Boolean semantics decide.
-fn evaluate_formula(formula: &Formula, signals: &SampledSignals<'_>) -> Result<f64, MonitorError> {
-    let robustness = formula.robustness(signals)?;
-    let violated_at_zero = robustness == 0.0 && !formula.is_satisfied(signals)?;
-    Ok(if violated_at_zero { -MIN_VIOLATION } else { robustness })
-}
-
 fn first_contact(run: &Run, result: &SimulationResult) -> Option<FirstContact> {
     let contact = result.outcome.contact()?;
     let scenario = run.scenario();
@@ -321,6 +304,24 @@ fn first_contact(run: &Run, result: &SimulationResult) -> Option<FirstContact> {
         ego_braking: BrakingLevel::new(hardest_mps2, scenario.usable_brake_mps2(ego)),
         rear_class: scenario.vehicles().get(contact.rear_vehicle).map_or(VehicleClass::Light, |v| v.class),
     })
+}
+
+/// Reads a specification of any scenario: its signals may not exist.
+impl FromStr for Specification {
+    type Err = SpecificationError;
+
+    fn from_str(text: &str) -> Result<Self, SpecificationError> {
+        if text == Self::NO_CONTACT {
+            return Ok(Self::NoContact);
+        }
+        if let Ok(conduct) = text.parse() {
+            return Ok(Self::DrivingRule(conduct));
+        }
+        text.parse().map(Self::Formula).map_err(|formula| match text.contains(['<', '>']) {
+            true => SpecificationError::Parse(formula),
+            false => SpecificationError::UnknownRule { formula },
+        })
+    }
 }
 
 impl fmt::Display for Specification {

@@ -51,6 +51,7 @@ mod signals;
 mod window;
 
 pub use formula::{ComparisonOp, Formula, FormulaError, LinearPredicate, TimeWindow};
+pub(crate) use monitor::MIN_VIOLATION;
 pub use monitor::MonitorError;
 pub use motion::{motion_signal_names, motion_signals};
 pub use naive::naive_robustness;

@@ -35,6 +35,9 @@ pub enum MonitorError {
     },
 }
 
+/// Smallest violation: a robustness of 0 is no violation.
+pub(crate) const MIN_VIOLATION: f64 = 1e-9;
+
 /// Value of a comparison: its margin, or its truth as +1 or -1.
 #[derive(Clone, Copy, PartialEq)]
 enum MonitorSemantics {
@@ -68,6 +71,23 @@ impl Formula {
     /// As [`Formula::robustness`].
     pub fn is_satisfied(&self, signals: &SampledSignals<'_>) -> Result<bool, MonitorError> {
         Ok(self.first_value(signals, MonitorSemantics::Boolean)? > 0.0)
+    }
+
+    /// Returns the robustness at the first samples, below 0 if and only if the formula is violated there: at 0, the
+    /// Boolean semantics decide between 0 and the negative [`MIN_VIOLATION`].
+    pub(crate) fn decided_robustness(
+        &self,
+        signals: &SampledSignals<'_>,
+        samples: usize,
+    ) -> Result<Vec<f64>, MonitorError> {
+        let values = |semantics| Monitor { signals, semantics }.values(self, 0, samples);
+        let mut robustness = values(MonitorSemantics::Quantitative)?;
+        if robustness.contains(&0.0) {
+            let truth = values(MonitorSemantics::Boolean)?;
+            let zeros = robustness.iter_mut().zip(truth).filter(|(value, _)| **value == 0.0);
+            zeros.for_each(|(value, truth)| *value = if truth > 0.0 { 0.0 } else { -MIN_VIOLATION });
+        }
+        Ok(robustness)
     }
 
     fn first_value(&self, signals: &SampledSignals<'_>, reading: MonitorSemantics) -> Result<f64, MonitorError> {

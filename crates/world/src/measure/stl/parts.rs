@@ -9,7 +9,7 @@ pub struct FormulaPart {
     pub depth: usize,
     /// The part.
     pub formula: Formula,
-    /// Robustness at each sample.
+    /// Robustness at each sample; below 0 if and only if the part is violated there.
     pub robustness: Vec<f64>,
 }
 
@@ -36,11 +36,8 @@ impl Formula {
         let mut parts = Vec::new();
         let mut open = vec![(0, self)];
         while let Some((depth, formula)) = open.pop() {
-            parts.push(FormulaPart {
-                depth,
-                formula: formula.clone(),
-                robustness: formula.robustness_over_time(signals)?,
-            });
+            let robustness = formula.decided_robustness(signals, signals.samples())?;
+            parts.push(FormulaPart { depth, formula: formula.clone(), robustness });
             open.extend(formula.operands().into_iter().rev().map(|operand| (depth + 1, operand)));
         }
         Ok(parts)
@@ -67,5 +64,11 @@ mod tests {
         assert_eq!(*both, smaller);
         assert_eq!(*whole, [-4.0, -4.0, -4.0, 2.0]);
         assert_eq!(parts[2].least(), Some((1, -2.0)));
+
+        let strict: Formula = "not (a > 1 or a <= 4)".parse().unwrap();
+        let parts = strict.parts_over_time(&signals).unwrap();
+        let violated: Vec<Vec<bool>> =
+            parts.iter().map(|part| part.robustness.iter().map(|&value| value < 0.0).collect()).collect();
+        assert_eq!(violated, [[true; 4], [false; 4], [false, true, true, false], [false; 4]]);
     }
 }
