@@ -168,8 +168,8 @@ def statements(groups, passing):
         f"{gain('up to 62 mph')} up to 62 mph and {gain('above 62 mph')} above",
         f"their {lorry[HUMAN].count} emergencies alone add {part(lorry, ASSISTED)} per 1000 to a total of "
         f"{part(every, ASSISTED)} (brake from 3 s: {part(lorry, ASSISTED_EARLY)} of {part(every, ASSISTED_EARLY)})",
-        f"injuries would fall if fewer than {100 * with_cars / (with_cars - with_lorries):.0f} % of the vehicles behind "
-        f"were lorries, instead of {100 * lorries / every[HUMAN].count:.0f} %",
+        f"injuries would fall if fewer than {100 * with_cars / (with_cars - with_lorries):.0f} % of the vehicles "
+        f"behind were lorries, instead of {100 * lorries / every[HUMAN].count:.0f} %",
         f"(+{100 * rise(ASSISTED):.0f} % with a brake from 1.4 s, "
         f"+{100 * rise(ASSISTED_EARLY):.0f} % from 3 s)",
         f"by {gain('without baseline')} with the 1.4 s brake and by {gain('without baseline', ASSISTED_EARLY)} with",

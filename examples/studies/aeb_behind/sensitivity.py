@@ -56,8 +56,8 @@ def sensitivity_statements(cells):
     return [
         f"with only human drivers behind, injuries change by {harm['follower has an emergency brake']} per 1000 if the "
         f"vehicles behind also have the brake, and by {harm['base case']} if they do not",
-        f"and by {harm['base case']} in the second. If one assumption changes, the result is between {low} (all vehicles "
-        f"behind are cars) and {high} (very late perception behind)",
+        f"and by {harm['base case']} in the second. If one assumption changes, the result is between {low} (all "
+        f"vehicles behind are cars) and {high} (very late perception behind)",
     ]
 
 

@@ -119,8 +119,8 @@ fn filter_rate(state: &RandomInputs) -> f64 {
     5.0 - noisy_filter_errors(state)[1].abs()
 }
 
-/// Estimates with some seeds. Checks the ratios to the truth, their mean, the number of intervals that contain the truth,
-/// and the number of runs.
+/// Estimates with some seeds. Checks the ratios to the truth, their mean, the number of intervals that contain the
+/// truth, and the number of runs.
 fn assert_close(
     (name, problem, truth): &(&str, ClosedFormLimitState, f64),
     (within, bias, min_held): (f64, f64, usize),
