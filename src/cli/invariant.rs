@@ -70,7 +70,7 @@ pub(super) struct InvariantCommand {
     /// Largest error of the observed speeds, in m/s
     #[arg(long, value_name = "MPS", default_value_t = 1e-9, value_parser = |text: &str| parse_up_to(text, 1e2))]
     speed_error: f64,
-    /// Cells of each speed: 4 to 1000
+    /// Cells of each speed: 4 to 1000. With too few, the search can take long and find no set
     #[arg(long, value_name = "N", default_value_t = 140, value_parser = clap::value_parser!(u32).range(4..=1000))]
     cells: u32,
     /// Number of times that the check may divide a cell: 0 to 4
@@ -112,6 +112,7 @@ fn parse_range(text: &str) -> Result<[f64; 2], String> {
 fn option_of(field: &str) -> &str {
     match field {
         "region_gap_m" => "--gap",
+        "ends_beyond_gap_m" => "--end-beyond-gap",
         "leader_mps2" => "--leader-accel",
         "motion" => "--plant",
         "axes" | "table" => "--speed and --leader-speed",
@@ -128,6 +129,10 @@ fn parse_up_to(text: &str, most: f64) -> Result<f64, String> {
 
 impl InvariantCommand {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
+        [&self.certificate, &self.plot]
+            .into_iter()
+            .flatten()
+            .try_for_each(|path| output::resolve_output_path(path).map(drop))?;
         let scenario = args::load_scenario(&self.scenario)?;
         let spec = InvariantSpec {
             version: 1,
@@ -199,11 +204,11 @@ impl InvariantCommand {
         };
         let words = || {
             format!(
-                "{}\naccepted: {accepted}\nat most {:.2} % are possible: from the rest, a leader that brakes, at once \
-                 or after 1 s, defeats the controller in a simulation\n{}",
+                "{}\naccepted: {accepted}\nat most {:.2} % are possible with these cells: from the other nodes, a leader \
+                 that brakes, at once or after 1 s, defeats the controller in a simulation\n{}",
                 set.certificate.scope(),
-                1e2 * set.simulated_share,
-                defeat_line(defeat.as_ref())
+                (1e4 * set.simulated_share).ceil() / 1e2,
+                defeat_line(&set, defeat.as_ref())
             )
         };
         output::print_result(self.format, &report, words)
@@ -232,8 +237,9 @@ impl InvariantCommand {
     }
 }
 
-fn defeat_line(defeat: Option<&Defeat>) -> String {
+fn defeat_line(set: &InvariantSet, defeat: Option<&Defeat>) -> String {
     match defeat {
+        None if set.table.axes()[1].cells == 0 => "outside the set: nothing was searched\n".to_owned(),
         None => "outside the set: no simulated leader defeats the controller\n".to_owned(),
         Some(Defeat { gap_m, own_mps, leader_mps, leader_accelerates_s }) => {
             let brakes = match *leader_accelerates_s {

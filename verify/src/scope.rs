@@ -9,7 +9,7 @@ use crate::interval::Interval;
 use crate::invariant::{InvariantClaim, InvariantController, MotionModel};
 use crate::kernel::KernelClaim;
 use crate::rate::Registration;
-use crate::reach::{BoxDimension, NetworkFileSource, ReachClaim};
+use crate::reach::{BoxDimension, FollowerLaw, NetworkFileSource, ReachClaim};
 
 const NO_VEHICLE_BEHIND: &str = "behind: no vehicle";
 
@@ -246,23 +246,29 @@ fn reach_scope(claim: &ReachClaim) -> Scope {
 fn invariant_scope(claim: &InvariantClaim) -> Scope {
     let [own, leader, _] = claim.axes;
     let driver = match &claim.controller {
+        InvariantController::Law(law @ FollowerLaw::Idm(_)) => law.to_string(),
         InvariantController::Law(law) => {
-            format!("{law}, with a set speed of at most {} m/s", claim.initial_own_mps_at_most)
+            format!("{law}, with a set speed of at most {} m/s", round_down(claim.initial_own_mps_at_most))
         }
         InvariantController::Network(network) => {
             format!("driven by the {}", describe_network(&network.policy_sha256, network.source.as_ref()))
         }
     };
-    let [least, most] = claim.leader_mps2;
     let [brake, accel] = claim.own_mps2;
-    let accelerates = format!("accelerates as it likes from {least} to {most} m/s²");
+    let accelerates = match claim.leader_mps2 {
+        [0.0, 0.0] => "constant".to_owned(),
+        [least, most] => format!("accelerates as it likes from {least} to {most} m/s²"),
+    };
     let (leader, speed) = match claim.motion {
-        MotionModel::Absolute => (format!("leader: {} to {} m/s, {accelerates}", leader.low, leader.high), "speed"),
+        MotionModel::Absolute => {
+            (format!("leader: {} to {} m/s, {accelerates}", round_up(leader.low), round_down(leader.high)), "speed")
+        }
         MotionModel::Relative => (format!("leader: any speed, {accelerates}; no standstill"), "closing speed"),
     };
     let own = format!(
         "under test: {speed} up to {} m/s (at the start up to {}), from {brake} to {accel} m/s², {driver}",
-        own.high, claim.initial_own_mps_at_most
+        round_down(own.high),
+        round_down(claim.initial_own_mps_at_most)
     );
     let largest = claim.observation_error.iter().copied().fold(0.0, f64::max);
     let ends = claim.ends_beyond_gap_m.map(|gap_m| format!("until a gap exceeds {gap_m} m"));
@@ -273,8 +279,11 @@ fn invariant_scope(claim: &InvariantClaim) -> Scope {
     };
     let limits = vec![format!("{decides}; observations err by at most {largest} (m, m/s)")];
     let limits = limits.into_iter().chain(ends).collect();
-    let behind = Some("behind: not considered".to_owned());
-    Scope { behind, ..partial_scope(Some(f64::INFINITY), vec![leader, own], limits) }
+    let behind = match &claim.controller {
+        InvariantController::Law(_) => "behind: not considered",
+        InvariantController::Network(_) => NO_VEHICLE_BEHIND,
+    };
+    Scope { behind: Some(behind.to_owned()), ..partial_scope(Some(f64::INFINITY), vec![leader, own], limits) }
 }
 
 /// Rounds a lower bound down to four significant digits.

@@ -11,10 +11,13 @@ use crate::work::{OPS_PER_INTERVAL_OP, OpBudget};
 
 /// Gaps ahead and behind; speeds ahead, own, behind; accelerations ahead, own, behind.
 const GAP: usize = 0;
+const GAP_BEHIND: usize = 1;
 const LEADER: usize = 2;
 const OWN: usize = 3;
+const FOLLOWER: usize = 4;
 const LEADER_ACCELERATION: usize = 5;
 const OWN_ACCELERATION: usize = 6;
+const FOLLOWER_ACCELERATION: usize = 7;
 const INTERVAL_OPS_PER_LAW: u64 = 200;
 
 /// The controller of the vehicle under test.
@@ -39,7 +42,10 @@ impl CommandModel<'_> {
         };
         let is_relative = |input: &crate::reach::ControllerInput| {
             let of = &input.coefficients;
-            of[OWN] + of[LEADER] == 0.0 && of[LEADER_ACCELERATION] == 0.0 && of[OWN_ACCELERATION] == 0.0
+            let is_about_follower = [GAP_BEHIND, FOLLOWER, FOLLOWER_ACCELERATION].iter().any(|&place| of[place] != 0.0);
+            let is_of_pair =
+                of[OWN] + of[LEADER] == 0.0 && of[LEADER_ACCELERATION] == 0.0 && of[OWN_ACCELERATION] == 0.0;
+            if is_about_follower { input.absent_value.is_some() } else { is_of_pair }
         };
         if network.inputs.iter().all(is_relative) {
             Ok(())
@@ -65,6 +71,9 @@ impl CommandModel<'_> {
                 for (place, form) in [GAP, OWN, LEADER].into_iter().zip(observed) {
                     forms[place] = form.clone();
                 }
+                // There is no follower. Its substitute has the own speed and does not accelerate.
+                forms[GAP_BEHIND] = AffineForm::constant(Interval::point(network.empty_gap_m));
+                forms[FOLLOWER] = forms[OWN].clone();
                 let accelerations = [(LEADER_ACCELERATION, leader_mps2), (OWN_ACCELERATION, own_mps2)];
                 for (symbol, (place, range)) in (AXIS_COUNT + 1..).zip(accelerations) {
                     forms[place] = AffineForm::symbol(symbol, *range);

@@ -241,6 +241,9 @@ impl InvariantClaim {
         let wrong = |problem| Err(Rejection::invalid("axes", problem));
         let [own, leader, acceleration] = self.axes;
         let is_immediate = self.response_per_step == 1.0;
+        if self.initial_own_mps_at_most > own.high {
+            return wrong("must contain the largest own speed at the start");
+        }
         if is_immediate && acceleration != TableAxis::point(0.0) {
             return wrong("must have the own acceleration 0 without lag");
         }

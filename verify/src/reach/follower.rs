@@ -32,6 +32,7 @@ use super::ranges::{BoxDimension, InitialRanges};
 use super::relax::{reciprocal, relu, relu_squared};
 use crate::Rejection;
 use crate::interval::Interval;
+use crate::scope::round_down;
 
 /// Smallest gap of `idm`, in metres; smaller ones count as this.
 const MIN_GAP_M: f64 = 0.01;
@@ -106,8 +107,9 @@ impl fmt::Display for IdmLaw {
         let Self { desired_speed_mps, time_headway_s, standstill_gap_m, accel_mps2, comfortable_brake_mps2, .. } = self;
         write!(
             out,
-            "drives idm towards {desired_speed_mps} m/s with a time headway of {time_headway_s} s, {standstill_gap_m} \
-             m at standstill, {accel_mps2} and {comfortable_brake_mps2} m/s²"
+            "drives idm towards {} m/s with a time headway of {time_headway_s} s, {standstill_gap_m} m at standstill, \
+             {accel_mps2} and {comfortable_brake_mps2} m/s²",
+            round_down(*desired_speed_mps)
         )
     }
 }

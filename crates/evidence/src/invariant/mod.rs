@@ -141,6 +141,7 @@ impl InvariantPlan {
     ) -> Result<Option<InvariantSet>, InvalidBox> {
         let mut claim = InvariantClaim { splits: options.splits, ..self.claim.clone() };
         let [low, high] = claim.region_own_mps;
+        let low = if claim.motion == MotionModel::Absolute { 0.0 } else { low };
         let cells = (f64::from(options.cells) * (own_mps - low) / (high - low)).ceil().max(4.0) as u32;
         let rows = cells + EXTRA_ROWS;
         let mut own =
