@@ -34,10 +34,10 @@ a platoon), and car-following events (event,time_s,gap_m,follower_speed_mps,rela
 For other formats, --map describes the columns, or names a built-in map. crumple detects how the text is written \
 (encoding, separators, decimal commas, ISO 8601 time stamps), and prints it. Parquet files need a build with the \
 feature `parquet`; ASAM MDF 4 files (also raw CAN frames, with a DBC file named in the map) need the feature `mdf`: \
-`cargo install --locked --path . --features mdf,parquet`. A braking episode is one in which a \
-vehicle's speed drops by more than --min-brake times one second within one second; that vehicle leads the scenario. \
-Those behind it start at the recorded gaps and speeds and are under test; only the last of three or more vehicles is \
-driven by the baseline. Without any episode the exit code is 1, and the hardest braking found is printed.
+`cargo install --locked --path . --features mdf,parquet`. In a braking episode, a \
+vehicle's mean deceleration over one second exceeds --min-brake; that vehicle leads the scenario. \
+Those behind it start at the recorded gaps and speeds and are under test, except that the baseline drives the last of \
+three or more vehicles. Without any episode the exit code is 1, and the hardest braking found is printed.
 
 An OpenSCENARIO file F.xosc (1.0 to 1.3) becomes a scenario on the lane of the vehicle under test. \
 --distribution makes a scenario of each combination of values (at most 10 000), or a space of random values. \
@@ -202,7 +202,7 @@ impl Import {
             return Err(CliError::Input("--guess: give only one recording".to_owned()));
         };
         let Some(draft) = guess(path)? else {
-            let problem = "no column looks like a time with spacings or positions and speeds: write a map by hand";
+            let problem = "the columns do not look like times, speeds, and spacings or positions: write a map by hand";
             return Err(CliError::at(path, format!("{problem} (docs/exchange.md)")));
         };
         note_text_format(path, &draft.recording.text, quiet);
@@ -210,7 +210,7 @@ impl Import {
         if let Some(name) = draft.built_in {
             output::note(&format!("note: this is the built-in map {name}: `--map {name}` names it"), quiet);
         }
-        output::note("note: check the draft: bumpers, lengths and ids cannot be seen in the columns", quiet);
+        output::note("note: check the draft: the columns do not show bumpers, lengths and ids", quiet);
         let text = draft.map.to_toml().map_err(CliError::input)?;
         output::print_result(self.format, &draft.map, || text)
     }
@@ -257,7 +257,7 @@ impl Import {
             ..
         } = seen;
         let mut text = format!("{}: {}\n", TerminalText(&name), recording.format);
-        let each = step_s.map_or("one of each vehicle".to_owned(), |step_s| format!("one each {step_s:.3} s"));
+        let each = step_s.map_or("one per vehicle".to_owned(), |step_s| format!("one each {step_s:.3} s"));
         text +=
             &format!("  {leads} vehicles that may lead, {samples} samples, from {from_s:.2} to {to_s:.2} s, {each}\n");
         text += &format!("  speed {slow:.2} to {fast:.2} m/s, median {typical:.2}\n");
@@ -271,7 +271,7 @@ impl Import {
 
     fn import(&self, map: Option<&RecordingMap>, quiet: bool) -> Result<(), CliError> {
         let (min_brake, leaders) = (parse_min_brake(self.min_brake)?, self.leaders);
-        // Scenarios are staged at once: a long recording may have more than memory holds.
+        // Scenarios are staged immediately: a long recording may have more than memory holds.
         let (folder, mut files) = (OutputFolder::without_listing(&self.out, self.force), StagedFiles::default());
         let (mut names, mut refused) = (Vec::new(), None);
         let mut take = |ImportedScenario { file_name, toml, .. }: ImportedScenario| {

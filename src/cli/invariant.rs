@@ -204,8 +204,8 @@ impl InvariantCommand {
         };
         let words = || {
             format!(
-                "{}\naccepted: {accepted}\nat most {:.2} % are possible with these cells: from the other nodes, a leader \
-                 that brakes, at once or after 1 s, defeats the controller in a simulation\n{}",
+                "{}\naccepted: {accepted}\nat most {:.2} % are possible with these cells: from the other nodes, a \
+                 leader that brakes, at once or after 1 s, defeats the controller in a simulation\n{}",
                 set.certificate.scope(),
                 (1e4 * set.simulated_share).ceil() / 1e2,
                 defeat_line(&set, defeat.as_ref())

@@ -1,8 +1,8 @@
-//! Propagation of the vehicles of a box under a controller, step by step.
+//! Propagation of a box of initial states under a controller, step by step.
 //!
-//! Leader and follower brake to standstill: see [`braking`](super::braking). A leader with bounded braking: see
-//! [`leader`](super::leader). A follower with a law: see [`follower`](super::follower). The ego between decisions: see
-//! [`ego_set`](super::ego_set).
+//! Modules: [`braking`](super::braking) for vehicles that brake to standstill, [`leader`](super::leader) for a leader
+//! with bounded braking, [`follower`](super::follower) for a follower with a law, [`ego_set`](super::ego_set) for the
+//! ego between decisions.
 //!
 //! # Sets
 //! There is a set for each motion mode of the ego: moving, standing, restarted. Sets of a mode are joined at every
@@ -11,19 +11,19 @@
 //! # The follower's emergency brake
 //! It fires at the first instant with guard = gap - θ (v_r - v_e) < 0. `propagate` handles the members *whose follower
 //! has not fired*. A decision interval in which some guard may be negative, first at instant j1 and last at j2, is a
-//! window. The members whose follower fires from j1 to j2 are propagated separately from the decision before j1 on,
-//! with τ a symbol of its own. Many windows are merged with their neighbours. A set whose guards are all negative at
-//! some instant has no unfired member left and is dropped. As long as all instants of a window are in one decision
-//! interval, every observed acceleration of the follower is known; see [`window`](super::window). Sound
+//! window. The members whose follower fires from j1 to j2 are propagated separately, starting at the decision before
+//! j1, with the firing instant τ as a symbol. If windows are many, neighbours are merged. A set whose guards are
+//! all negative at some instant has no unfired member and is dropped. As long as all instants of a window are in one
+//! decision interval, every observed acceleration of the follower is known; see [`window`](super::window). Sound
 //! over-approximation: the members that fire are a subset of the propagated set; that their guard was >= 0 before is
 //! not exploited.
 //!
 //! # Collisions
-//! Gaps are compared at decisions. In between g'' ≤ m, the largest acceleration of the vehicle ahead (at least 0) less
-//! the smallest of the one behind (at most 0), so g ≥ min(g at begin, g at end) - m (D h)²/8 throughout; see
+//! Gaps are evaluated at decisions. In between g'' ≤ m: the largest acceleration of the vehicle ahead (at least 0)
+//! minus the smallest of the one behind (at most 0). So g ≥ min(g at begin, g at end) - m (D h)²/8 throughout; see
 //! [`avoidable`](crate::avoidable). For the gap to a latched follower, "at least 0" is dropped if the ego still moves
 //! at the end, because it has not stopped. A vehicle with a law may have restarted, so "at least 0" stays. The gap to a
-//! standing follower never falls, although bounds of the ego hold members that reverse.
+//! standing follower never falls, although the ego's bounds contain reversing members.
 //!
 //! # Standstill
 //! Fixed point: if all vehicles stand and the controller commands no motion, every later step is identical, and
@@ -43,8 +43,8 @@ use crate::work::{OpBudget, WorkLimit};
 /// Maximum number of windows in which the follower's brake may fire, and of their decision intervals.
 const MAX_WINDOWS: usize = 300;
 const MAX_INTERVALS: usize = 1000;
-/// Operations per decision without the network, per symbol of the leader, per step, and per symbol of a follower with a
-/// law in one step.
+/// Operations per decision (without the network), per leader symbol, per step, and per step and symbol of a follower
+/// with a law.
 const OPS_PER_DECISION: u64 = 50_000;
 const OPS_PER_LEADER_SYMBOL: u64 = 1_000;
 const OPS_PER_STEP: u64 = 10_000;
@@ -61,8 +61,8 @@ pub struct ReachProblem<'a> {
     pub ranges: InitialRanges,
     /// Follower, if there is one.
     pub follower: Option<FollowerModel>,
-    /// b of a leader that holds any acceleration from -b to 0 over each step until it stands, in m/s². Rate and onset
-    /// of `ranges` then have no meaning. `None` for a leader that follows them.
+    /// Bound b of a leader that holds any acceleration from -b to 0 over each step until it stands, in m/s². It
+    /// replaces rate and onset of `ranges`. `None` for a leader that follows these.
     pub leader_brakes_at_most_mps2: Option<f64>,
     /// Largest error of each observed number.
     pub observation_error: [f64; OBSERVATION_SIZE],
@@ -300,7 +300,7 @@ impl ReachAnalysis<'_> {
         }
     }
 
-    /// Returns egos at instant k with observation and gaps.
+    /// Returns `members` at instant k with observation and gaps.
     fn observe(&self, k: u32, members: EgoSet, follower: Option<&BrakingVehicle>) -> StateSet {
         let leader = self.leader.state_at(k, self.step);
         let ego = members.ego.clone();

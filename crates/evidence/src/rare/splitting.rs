@@ -18,19 +18,20 @@ const MIN_RUNS_PER_WRITE: u64 = 500;
 /// Maximum number of levels: a rarer failure than about 10⁻¹² is not reached.
 pub const MAX_LEVELS: usize = 18;
 /// Population sizes of pilots, relative to a repetition. The next pilot runs if the earlier ones reached no failure: a
-/// larger population is less likely to follow small margins to where nothing fails.
+/// larger population is less likely to converge to small margins without failures.
 pub const PILOT_FACTORS: [usize; 3] = [1, 2, 4];
 /// Offset of the random streams of later pilots; those of repetitions start at 1.
 const LATER_PILOT_STREAM_OFFSET: u64 = 1 << 41;
 const LEVEL_SHARE: f64 = 0.2;
 const MOVES_PER_LEVEL: usize = 4;
-/// Smallest weight of a share of noise, to save time: all smaller ones change the noise by less than a millionth.
+/// Smallest weight of a noise share. Smaller ones, dropped to save time, together change the noise by less than a
+/// millionth.
 const MIN_NOISE_WEIGHT: f64 = 1e-8;
 /// Share of moves that resample all noise. It decorrelates runs that do not depend on their noise.
 const NEW_NOISE_SHARE: f64 = 0.25;
 /// Optimal acceptance of a random walk (Papaioannou and others, MCMC algorithms for subset simulation, 2015).
 const TARGET_ACCEPTANCE: f64 = 0.44;
-/// Gain of the pilot's step control by acceptance.
+/// Gain of the pilot's step adaptation to acceptance.
 const STEP_ADAPTATION_RATE: f64 = 1.5;
 const MIN_STEP: f64 = 0.02;
 
@@ -69,7 +70,7 @@ pub struct SplittingLevels {
     pilot_failures: u64,
     #[serde(rename = "reached")]
     reaches_failure: bool,
-    /// Levels of the pilot, for a report without a reached failure.
+    /// Levels of the pilot, reported if it reaches no failure.
     pilot_levels: Vec<Level>,
 }
 
@@ -136,7 +137,7 @@ impl SplittingLevels {
                 break;
             }
             let next = Self::run_pilot(problem, effort, seed, attempt, counter)?;
-            // Whether a further pilot runs depends on earlier samples, so its samples may not be pooled with them. If
+            // Earlier samples decide if a further pilot runs, so its samples may not be pooled with them. If
             // repetitions follow, only the first pilot's samples count.
             let (draws, failures) = match next.reaches_failure {
                 true => first,
@@ -367,8 +368,8 @@ impl RareEstimate {
         }
     }
 
-    /// Returns failures and runs of the repetitions if the first level is the failure: nothing is split, and runs are
-    /// only counted. If all runs fail, the spread is zero and meaningless.
+    /// Returns failures and runs of the repetitions if failure is the only level: then runs are counted, not split. If
+    /// all runs fail, the spread is zero and meaningless.
     fn counted_failures(&self) -> Option<(u64, u64)> {
         let repetitions = self.repetitions.len() as u64;
         let each = self.independent_runs / (1 + repetitions);
@@ -435,7 +436,7 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         Ok(states.into_iter().zip(margins).collect())
     }
 
-    /// Copies survivors to restore the population size, each equally often; a random choice has one more copy.
+    /// Restores the population size with equally many copies of each survivor; random survivors get one more.
     fn resample(&mut self, mut survivors: Vec<Particle>) -> Vec<Particle> {
         let alive = survivors.len();
         if alive == 0 {
@@ -448,8 +449,8 @@ impl<'a, P: LimitState> ParticlePopulation<'a, P> {
         survivors.iter().cycle().take(self.samples).cloned().collect()
     }
 
-    /// Moves every run once; a move that would leave the level is rejected. Returns the numbers of accepted and of all
-    /// moves that did not resample all noise.
+    /// Moves every run once; a move that would leave the level is rejected. Returns the numbers of accepted and
+    /// proposed moves, without those that resampled all noise.
     fn mcmc_move(&mut self, population: &mut [Particle], stage: &SplittingStage) -> Result<(u64, u64), P::Error> {
         // An autoregressive step preserves the normal distribution (Neal, 1998; "preconditioned Crank-Nicolson").
         let kept = (1.0 - stage.step * stage.step).sqrt();

@@ -24,7 +24,7 @@ use crumple_world::random::{self, Purpose};
 use crumple_world::scenario::{InvalidField, PAPER_STEP_S, Scenario};
 use crumple_world::sim::{Run, RunError, RunOptions};
 
-/// Factor over the largest possible value above which the mean value of a batch counts as diverged.
+/// A batch whose mean value exceeds the largest possible value by this factor counts as diverged.
 const DIVERGENCE_FACTOR: f64 = 10.0;
 
 /// Reason why a training stops early.
@@ -166,8 +166,8 @@ impl Trainer {
     }
 
     /// Starts the actor and its target from the weights of `policy`, if it has the same shape. Critics start anew. An
-    /// imitation then starts from the policy, and preserves what it does well in spaces whose costs count more than
-    /// once.
+    /// imitation then starts from the policy, and preserves its good behaviour in spaces with a cost multiplier above
+    /// 1.
     #[must_use]
     pub fn with_initial_policy(mut self, policy: &Policy) -> Self {
         let actor = &mut self.learner.actor;

@@ -75,7 +75,7 @@ pub(super) struct GivenCertificate {
     /// File name without extension.
     pub(super) name: String,
     pub(super) certificate: Certificate,
-    /// Policy of the statement, if it has one that was found.
+    /// Policy that the certificate is about, if found.
     pub(super) policy: Option<Vec<u8>>,
 }
 

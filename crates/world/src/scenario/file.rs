@@ -127,8 +127,7 @@ pub const MAX_FILES: usize = 10_000;
 
 pub(crate) const MAX_FOLDER_BYTES: u64 = 64 << 20;
 
-/// Maximum number of bytes of a text file: ten times a minute of scripted motion at the finest step; 16 MB as parsed
-/// JSON.
+/// Maximum bytes of a text file: ten times a scripted motion of one minute at the finest step. Parsed JSON needs 16 MB.
 pub const MAX_BYTES: u64 = 8 << 20;
 
 /// Maximum number of bytes of TOML, which needs up to 80 times its size in memory: 240 MB.
@@ -311,12 +310,12 @@ enum PathStep<'a> {
     Index(usize),
 }
 
-/// Returns the span of a field in TOML text, or of its deepest parent in the text: a default value may be invalid.
+/// Returns the span of a field in TOML text; for an absent field (an invalid default), that of its deepest parent.
 fn locate_in_toml(text: &str, field: &str) -> Range<usize> {
     find_in_toml(text, field).0
 }
 
-/// Returns the span as [`locate_in_toml`] does, and true if it is that of the whole path.
+/// Returns the span as [`locate_in_toml`] does, and true if the text contains the field.
 fn find_in_toml(text: &str, field: &str) -> (Range<usize>, bool) {
     let mut span = 0..0;
     let Ok(root) = toml::de::DeTable::parse(text) else { return (span, false) };

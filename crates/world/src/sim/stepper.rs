@@ -113,7 +113,7 @@ impl Stepper {
     }
 
     /// Consults the driver of vehicle `index` at every step from now on, also when the vehicle is commanded from
-    /// outside. The driver observes as `estimator` says, independently of what [`observe`](Self::observe) returns.
+    /// outside. The driver observes through `estimator`, whatever [`observe`](Self::observe) returns.
     pub fn consult(&mut self, index: usize, estimator: EstimatorKind) {
         if let Some(vehicle) = self.loops.get_mut(index) {
             vehicle.consulted = Some((estimator, 0.0));
@@ -150,7 +150,7 @@ impl Stepper {
         }
     }
 
-    /// Drives vehicle `index` by `command`, from its observation to an acceleration in m/s², for up to `steps` steps.
+    /// Drives vehicle `index` for up to `steps` steps. `command` maps its observation to an acceleration in m/s².
     /// Ends early if the run ends or `after`, called after each step, breaks.
     pub fn drive(
         &mut self,
@@ -306,7 +306,7 @@ fn update_min_ttc(tallies: &mut [VehicleExtremes], platoon: &PlatoonState) {
 
 struct VehicleLoop {
     driver: VehicleController<LeadProfile>,
-    /// Boxed, and `None` with the true state: keeps `VehicleLoop` small when thousands of runs are stepped in turn.
+    /// `None` for the true state. Boxed to keep `VehicleLoop` small when thousands of runs are stepped in turn.
     estimator: Option<Box<EgoEstimator>>,
     actuator: Actuator,
     disturbance: Option<Disturbance>,

@@ -8,7 +8,7 @@ const OPTIONAL_FIELDS: [fn(&mut TrackPoint) -> &mut Option<f64>; 3] =
     [|point| &mut point.position_m, |point| &mut point.speed_mps, |point| &mut point.length_m];
 
 /// Fills holes of at most `longest_s` by interpolation: missing numbers, and missing points between two points of a
-/// track in one lane. Vehicles whose rows have different times get points at common times instead of their rows.
+/// track in one lane. If vehicles have rows at different times, points at common times replace these rows.
 /// Returns the line of the first filled hole and the number of filled values. The error is the line at which there are
 /// too many points.
 pub(super) fn fill_holes(points: &mut Vec<TrackPoint>, longest_s: f64) -> Result<Occurrences, u64> {
@@ -52,7 +52,7 @@ pub(super) fn fill_holes(points: &mut Vec<TrackPoint>, longest_s: f64) -> Result
                 found.get_or_insert((a.line, 0)).1 += 1;
             }
         }
-        // Without it, a vehicle whose rows are too far apart would not be absent in between.
+        // Without `b`, a vehicle would not count as absent between rows that are too far apart.
         if from.is_none() || times_ms.binary_search(&b.time_ms).is_ok() {
             filled.push(b);
         }
@@ -64,8 +64,8 @@ pub(super) fn fill_holes(points: &mut Vec<TrackPoint>, longest_s: f64) -> Result
     Ok(found)
 }
 
-/// Returns the times of all rows, without those less than half a step after another, and with those that all vehicles
-/// miss for at most `longest_ms`.
+/// Returns the times of all rows. Omits those less than half a step after another; adds times in holes common to all
+/// vehicles (at most `longest_ms`).
 fn common_times_ms(points: &[TrackPoint], step_ms: i64, longest_ms: i64) -> Vec<i64> {
     let mut rows_ms: Vec<i64> = points.iter().map(|point| point.time_ms).collect();
     rows_ms.sort_unstable();

@@ -41,7 +41,7 @@ fn most_common_lane(track: &[TrackPoint]) -> Option<u32> {
 
 /// Returns for each point whether the track has its lane for at least `shortest_ms` around it.
 fn lane_intervals(track: &[TrackPoint], shortest_ms: i64) -> Vec<bool> {
-    // The last row holds for a step; a longer absence shows nothing about the lane.
+    // The last row of an interval counts for one step: an absence shows no lane.
     let steps = track.windows(2).filter_map(|pair| Some(pair.last()?.time_ms - pair.first()?.time_ms));
     let step_ms = steps.min().unwrap_or(0);
     let mut is_stable = Vec::with_capacity(track.len());

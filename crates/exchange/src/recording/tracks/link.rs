@@ -79,12 +79,12 @@ pub(super) fn link(points: &mut [TrackPoint], blip_ms: i64, dropped: &mut Vec<(u
     }
     let order = order_rows(points);
     let mut to_come = absences(points, &order, blip_ms).into_iter().enumerate().peekable();
-    // By the end of the absence.
+    // Keyed by the absence's end.
     let mut absent_now: BTreeMap<(i64, usize), Absence> = BTreeMap::new();
     let (mut overlapping, mut absent) = (None, None);
     for pair in order.windows(2) {
         let &[front, rear] = pair else { continue };
-        // Points of another row differ above the index.
+        // Keys of different rows differ above the index.
         if (front ^ rear) >> 32 != 0 {
             continue;
         }

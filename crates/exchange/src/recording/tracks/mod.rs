@@ -74,7 +74,7 @@ pub(super) struct TrackRules<'m> {
     pub(super) reference: ReferencePoint,
     /// Longest hole that is interpolated, in seconds.
     pub(super) interpolate_s: f64,
-    /// Lane ids that hold for less are blips, in seconds.
+    /// Lane ids that hold for fewer seconds are blips.
     pub(super) lane_blip_s: f64,
     /// False if speeds contradict positions, so that speeds cannot show where a position starts anew.
     pub(super) speeds_agree: bool,

@@ -6,8 +6,7 @@ use super::TrackPoint;
 const MAX_ABSENCE_MS: i64 = 300_000;
 /// Largest error of a position that is no jump, in metres.
 const POSITION_ERROR_M: f64 = 3.0;
-/// A vehicle that brakes at 8 m/s² and then accelerates as hard deviates from its mean speed by a t² with this a, in
-/// m/s².
+/// Coefficient of t² in the distance error at mean speed, in m/s², for braking at 8 m/s² and then accelerating as hard.
 const SPEED_CHANGE_MPS2: f64 = 2.0;
 /// Largest speed of a vehicle, in m/s.
 const MAX_SPEED_MPS: f64 = 100.0;
@@ -27,7 +26,7 @@ struct Movement {
 }
 
 impl Movement {
-    /// Returns whether the movement, towards larger positions if positive, fits the recorded speeds.
+    /// Returns whether the movement, forwards if positive, fits the recorded speeds.
     fn is_plausible(&self, moved_m: f64) -> bool {
         let slack_m = POSITION_ERROR_M + SPEED_CHANGE_MPS2 * self.seconds * self.seconds;
         let [low_m, high_m] = match self.driven_m {
@@ -57,7 +56,7 @@ impl DirectionVotes {
 }
 
 /// Numbers the tracks of points that are sorted by vehicle and time. Returns the first point of the first track that
-/// does not begin with the vehicle, and the number of such tracks.
+/// begins within a vehicle's rows, and the number of such tracks.
 pub(super) fn split(points: &mut [TrackPoint], speeds_agree: bool) -> Option<(TrackPoint, usize)> {
     let (mut track, mut splits) = (0, None);
     for vehicle in points.chunk_by_mut(|a, b| a.vehicle == b.vehicle) {
@@ -71,7 +70,7 @@ pub(super) fn split(points: &mut [TrackPoint], speeds_agree: bool) -> Option<(Tr
         starts.extend(long_absences.map(|(index, _)| index + 1));
         starts.sort_unstable();
         starts.dedup();
-        // Within these pieces, vehicles also restart backwards by less than they drive, such as on short edges.
+        // Pieces also contain backward jumps shorter than the distance driven, such as on short edges.
         let mut backwards = Vec::new();
         let bounds = [0].into_iter().chain(starts.iter().copied());
         for (from, to) in bounds.zip(starts.iter().copied().chain([vehicle.len()])) {
@@ -99,7 +98,7 @@ pub(super) fn split(points: &mut [TrackPoint], speeds_agree: bool) -> Option<(Tr
     splits
 }
 
-/// Returns the votes of a track, with the lanes that its rows have.
+/// Returns the votes of a track, with the current lane of each row.
 pub(super) fn track_votes(track: &[TrackPoint], speeds_agree: bool) -> DirectionVotes {
     votes(movements(track, speeds_agree).iter())
 }

@@ -69,8 +69,8 @@ fn messages(recording: &Recording) -> String {
     recording.dropped.iter().map(|dropped| format!("{dropped}\n")).collect()
 }
 
-/// Four lanes of four vehicles; lanes 3 and 4 drive down. In each lane, vehicles repeat the motion of the first later
-/// and further behind (Newell's model), which may stand for a while.
+/// Four lanes of four vehicles; positions decrease in lanes 3 and 4. In each lane, vehicles repeat the first one's
+/// motion later and further behind (Newell's model); it may stand for a while.
 fn traffic(brakes: [(f64, f64); 4]) -> Vec<Row> {
     let mut rows = Vec::new();
     for (lane, (speed_mps, brake_mps2)) in (1..).zip(brakes) {
@@ -93,7 +93,7 @@ fn traffic(brakes: [(f64, f64); 4]) -> Vec<Row> {
 proptest! {
     #![proptest_config(crumple_cases::with_cases(64))]
 
-    /// Links with damage are those without, with gaps within 0.4 m. Links are missing only while a vehicle of the lane
+    /// Damaged rows yield the same links, with gaps within 0.4 m. Links are missing only while a vehicle of the lane
     /// has no row. The mirror image has the same links and episodes.
     #[test]
     fn damage_changes_no_link(
@@ -113,7 +113,7 @@ proptest! {
                 continue;
             }
             let (from, rows, lane, repeats) = blips[vehicle];
-            // An absence between two blips in a lane may be a longer time in it.
+            // Blips around an absence may look like a longer stay in the lane.
             let is_blip = match repeats && absences.iter().all(|absence| absence.0 != vehicle) {
                 true => step % 5 == from % 5,
                 false => (from..from + rows).contains(&step),
