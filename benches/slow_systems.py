@@ -81,7 +81,7 @@ def is_better_than_auto(pair):
 
 
 def main():
-    """Prints a table."""
+    """Prints a table, and the counts and p-values of the tests to standard error."""
     crumple = os.path.abspath(sys.argv[1])
     print(f"{SEEDS} seeds from {FIRST_SEED}, at most {BUDGET} simulations\n")
     print("| problem | " + " | ".join(METHODS) + " | significantly better than `auto` |")
@@ -100,6 +100,8 @@ def main():
                 text = "-" if mean is None else f"{mean:.1f}"
                 cells.append(text if runs["falsified"] == SEEDS else f"{text} ({runs['falsified']})")
             better = ", ".join(pair["methods"][1] for pair in found["pairs"] if is_better_than_auto(pair))
+            print(*(f"{pair['methods'][1]}: {test}" for pair in found["pairs"] if pair["methods"][0] == "auto"
+                    for test in (pair["falsified"], pair["fewer_simulations"])), sep="\n", file=sys.stderr)
             print(f"| {problem}, `{space}` | {' | '.join(cells)} | {better or 'none'} |", flush=True)
 
 

@@ -94,13 +94,13 @@ fn write_report(report: &RareReport, out: &mut String) -> std::fmt::Result {
                 "  probability of a failure {}, coefficient of variation {variation:.2}",
                 digits::format_rounded(*probability, 4)
             )?;
-            writeln!(
-                out,
-                "  95 % interval {} to {}, from the spread of {} repetitions",
-                digits::format_rounded(*low, 3),
-                digits::format_rounded(*high, 3),
-                repetitions.len()
-            )?;
+            // With one level, runs are only counted.
+            let source = match levels.len() {
+                1 => "Clopper-Pearson".to_owned(),
+                _ => format!("from the spread of {} repetitions", repetitions.len()),
+            };
+            let [low, high] = [low, high].map(|end| digits::format_rounded(*end, 3));
+            writeln!(out, "  95 % interval {low} to {high}, {source}")?;
         }
         (Some(_), ..) => {
             writeln!(

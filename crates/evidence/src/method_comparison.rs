@@ -176,9 +176,14 @@ impl MethodComparison {
         let Self { controller, space, specification, budget, methods, pairs, .. } = self;
         let seeds = methods.first().map_or(0, |method| method.runs.len());
         let mut text = format!(
-            "{controller} in {space}, `{specification}`: {seeds} seeds, at most {budget} simulations each\n\n\
+            "{controller} in {space}, `{specification}`: {seeds} {}, at most {budget} simulations each\n\n\
              {:<20} {:>10} {:>17} {:>10} {:>10}\n",
-            "method", "falsified", "95 % interval", "mean", "median"
+            if seeds == 1 { "seed" } else { "seeds" },
+            "method",
+            "falsified",
+            "95 % interval",
+            "mean",
+            "median"
         );
         let number = |value: Option<f64>| value.map_or("-".to_owned(), |value| format!("{value:.1}"));
         for MethodRuns { method, falsified, interval, mean_simulations, median_simulations, .. } in methods {

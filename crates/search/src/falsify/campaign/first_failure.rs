@@ -28,7 +28,7 @@ impl Campaign {
         let mut search = self.method.start(&config.cube, config.record.seed);
         let (mut done, mut best) = (0, f64::INFINITY);
         while done < self.budget {
-            let points = next_points(&mut *search, &self.method, &config, self.budget - done)?;
+            let points = next_points(&mut *search, (&self.method, 1), &config, self.budget - done)?;
             let verdicts = self.evaluate(&config.space, &points)?;
             let robustness: Vec<f64> = verdicts.iter().map(|verdict| verdict.robustness).collect();
             let first = verdicts.iter().position(|verdict| verdict.is_violation());

@@ -171,7 +171,9 @@ impl CampaignRun<'_> {
         let mut reached = MethodResults::new(method.clone());
         let budget = self.campaign.budget;
         while reached.evaluations < budget {
-            let points = next_points(&mut *search, &method, terms, budget - reached.evaluations)?;
+            // The points of a non-adaptive method do not depend on values, so many batches can be requested at once.
+            let batches = if method.is_non_adaptive() { BLIND_BATCHES } else { 1 };
+            let points = next_points(&mut *search, (&method, batches), terms, budget - reached.evaluations)?;
             let mut verdicts = Vec::with_capacity(points.len());
             while verdicts.len() < points.len()
                 && let Some(verdict) = self.journal.next_verdict()?
@@ -202,20 +204,15 @@ impl CampaignRun<'_> {
     }
 }
 
-/// Returns the next points of a search, at most `most` of them.
+/// Returns the next points of a search, some batches, but at most `most` points.
 pub(super) fn next_points(
     search: &mut dyn SearchAlgorithm,
-    method: &Method,
+    (method, batches): (&Method, usize),
     config: &ResolvedConfig,
     most: u64,
 ) -> Result<Vec<Vec<f64>>, CampaignError> {
     let mut points = search.ask();
-    if method.is_non_adaptive() {
-        // The points do not depend on values, so many batches can be requested at once.
-        for _ in 1..BLIND_BATCHES {
-            points.extend(search.ask());
-        }
-    }
+    (1..batches).for_each(|_| points.extend(search.ask()));
     points.truncate(usize::try_from(most).unwrap_or(usize::MAX));
     if points.is_empty() || !points.iter().all(|point| config.cube.contains(point)) {
         return Err(CampaignError::InvalidPoints(method.name().to_owned()));
