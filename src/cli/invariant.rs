@@ -38,7 +38,7 @@ Exit code 1 if no set is found.
 
 Examples:
   crumple verify invariant --controller idm --certificate idm.json
-  crumple verify invariant --controller acc.toml --plant relative --speed -20..20 --leader-accel 0..0")]
+  crumple verify invariant --controller two-inputs.toml --plant relative --speed -20..20 --leader-accel 0..0")]
 pub(super) struct InvariantCommand {
     /// Controller: idm, acc-aeb, with settings or without, a policy, or a network
     #[arg(long, value_name = "C", value_parser = args::parse_controller)]

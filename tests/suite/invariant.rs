@@ -233,3 +233,21 @@ fn a_network_with_two_inputs_has_a_certified_set() {
     let forged = Certificate { statement: Statement::Invariant(Box::new(absolute)), ..set.certificate };
     assert!(check_with(&forged, plan.policy_bytes(), WorkLimit::UNLIMITED).is_err());
 }
+
+/// A network may observe the follower. The claim is for driving without one.
+#[test]
+fn a_network_that_observes_the_follower_has_a_claim_without_one() {
+    // Brakes fully behind the gap of 200 m that stands for an absent follower, and accelerates before a close one.
+    let network = model_bytes(2, &[TestOnnxNode::Gemm(2, 1, vec![0.0, -0.1], vec![3.0])]);
+    let folder = temp_folder();
+    fs::write(folder.path().join("both.onnx"), network).unwrap();
+    let mapping = "version = 1\nnetwork = \"both.onnx\"\ndecision_interval_s = 0.1\n\
+        [[inputs]]\nquantity = \"gap_ahead_m\"\nabsent = 100.0\n\
+        [[inputs]]\nquantity = \"gap_behind_m\"\nabsent = 200.0\n\
+        [output]\nlow_mps2 = -7.5\nhigh_mps2 = 3.0\n";
+    fs::write(folder.path().join("both.toml"), mapping).unwrap();
+    let controller = NamedController::find("both.toml", folder.path()).unwrap_or_else(|error| panic!("{error}")).kind;
+    let (set, share) = search(&plan(controller, spec(MotionModel::Absolute, [0.0, 5.0], [0.0, 5.0])), 20);
+    assert!(share > 0.9, "{share}");
+    assert_eq!(set.certificate.scope().behind.as_deref(), Some("behind: no vehicle"));
+}

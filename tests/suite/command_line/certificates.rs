@@ -418,7 +418,7 @@ fn a_modelled_follower_is_in_the_box_the_scope_and_the_assumptions() {
     assert_eq!(exit_code(&message), 0, "{}", stderr(&message));
     let checked = run_crumple(folder.path(), "check idm.json");
     let passages = [
-        "drives idm towards 33.333333333333336 m/s with a time headway of 1.6 s",
+        "drives idm towards 33.33 m/s with a time headway of 1.6 s",
         "the follower applies the stated controller's command at each step, without delay",
     ];
     assert_prints(&checked, 0, &passages);

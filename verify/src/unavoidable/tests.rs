@@ -1,4 +1,3 @@
-
 use super::*;
 use num_rational::BigRational;
 use num_traits::{Signed, Zero};

@@ -1,4 +1,3 @@
-
 use super::*;
 use crumple_core::observer::Quiet;
 use crumple_verify::{ProvedClaim, WorkLimit, check_with};

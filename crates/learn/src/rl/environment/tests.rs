@@ -1,4 +1,3 @@
-
 use super::*;
 use crate::rl::TrainingConfig;
 use crumple_world::control::ControllerSpec;

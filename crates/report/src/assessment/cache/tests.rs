@@ -1,4 +1,3 @@
-
 use super::*;
 
 fn get(cache: &EvidenceCache, inputs: &str, value: f64) -> f64 {

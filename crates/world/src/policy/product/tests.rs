@@ -1,4 +1,3 @@
-
 use super::super::simd::available_archs;
 use super::*;
 use proptest::prelude::*;

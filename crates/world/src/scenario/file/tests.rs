@@ -1,4 +1,3 @@
-
 use super::super::{built_in_scenario, built_in_scenario_names};
 use super::*;
 

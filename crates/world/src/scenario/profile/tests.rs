@@ -1,4 +1,3 @@
-
 use super::*;
 
 /// Returns the speeds at step boundaries for a vehicle that starts at `speed_mps`.

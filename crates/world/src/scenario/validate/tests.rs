@@ -1,4 +1,3 @@
-
 use super::super::{GhostObject, Scenario, built_in_scenario};
 
 fn field_of(change: impl FnOnce(&mut super::ScenarioSpec)) -> String {

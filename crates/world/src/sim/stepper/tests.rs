@@ -1,4 +1,3 @@
-
 use super::*;
 use crate::control::{AebSettings, ControllerSpec};
 use crate::control::{AnyController, Ego};

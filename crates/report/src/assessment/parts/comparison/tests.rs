@@ -1,4 +1,3 @@
-
 use super::*;
 
 fn earlier(facts: &[(&str, f64)]) -> EarlierAssessment {

@@ -1,4 +1,3 @@
-
 use super::super::generate::{any_comparison, any_formula};
 use super::super::naive_robustness;
 use super::*;

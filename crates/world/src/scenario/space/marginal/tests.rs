@@ -1,4 +1,3 @@
-
 use super::super::spec::{
     ChoiceSpec, DistributionSpec, HistogramSpec, LogNormalSpec, NormalSpec, ParameterValue, PointMassSpec,
     ShapeScaleSpec, UniformSpec,
