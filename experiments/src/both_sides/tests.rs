@@ -1,4 +1,3 @@
-
 use super::*;
 
 fn parse_error(arguments: &[&str]) -> String {
