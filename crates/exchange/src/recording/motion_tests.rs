@@ -57,7 +57,8 @@ impl PlatoonMotion {
             speeds.iter().for_each(|speed| text += &format!(",{},1.5", field(speed)));
             gaps.iter().for_each(|gap| text += &format!(",{}", field(gap)));
         }
-        text
+        // Without a line end, a last row with fewer decimals than all others would count as cut off.
+        text + "\r\n"
     }
 }
 
