@@ -192,6 +192,20 @@ fn forged_sets_are_accepted_only_if_their_claim_is_true() {
     assert!(accepted < wanted);
 }
 
+/// Returns a network with the gap and another quantity as inputs.
+fn network_controller(network: &[u8], second_input: &str, high_mps2: f64) -> ControllerKind {
+    let folder = temp_folder();
+    fs::write(folder.path().join("two.onnx"), network).unwrap();
+    let mapping = format!(
+        "version = 1\nnetwork = \"two.onnx\"\ndecision_interval_s = 0.1\n\
+        [[inputs]]\nquantity = \"gap_ahead_m\"\nabsent = 100.0\n\
+        [[inputs]]\nquantity = \"{second_input}\n\
+        [output]\nlow_mps2 = -7.5\nhigh_mps2 = {high_mps2:?}\n"
+    );
+    fs::write(folder.path().join("two.toml"), mapping).unwrap();
+    NamedController::find("two.toml", folder.path()).unwrap_or_else(|error| panic!("{error}")).kind
+}
+
 /// A network of the shape that the N3V benchmark uses: gap and relative speed, two layers of 64 ReLUs. It brakes fully
 /// if the gap is below 5 m + 2 s times the closing speed; all other weights are small random numbers.
 #[test]
@@ -213,14 +227,7 @@ fn a_network_with_two_inputs_has_a_certified_set() {
             TestOnnxNode::Gemm(64, 1, last, vec![1.5]),
         ],
     );
-    let folder = temp_folder();
-    fs::write(folder.path().join("two.onnx"), network).unwrap();
-    let mapping = "version = 1\nnetwork = \"two.onnx\"\ndecision_interval_s = 0.1\n\
-        [[inputs]]\nquantity = \"gap_ahead_m\"\nabsent = 100.0\n\
-        [[inputs]]\nquantity = \"relative_speed_ahead_mps\"\nabsent = 0.0\n\
-        [output]\nlow_mps2 = -7.5\nhigh_mps2 = 1.5\n";
-    fs::write(folder.path().join("two.toml"), mapping).unwrap();
-    let controller = NamedController::find("two.toml", folder.path()).unwrap_or_else(|error| panic!("{error}")).kind;
+    let controller = network_controller(&network, "relative_speed_ahead_mps\"\nabsent = 0.0", 1.5);
     let plan = plan(controller, spec(MotionModel::Relative, [-20.0, 20.0], [0.0; 2]));
     let begin = std::time::Instant::now();
     let (set, share) = search(&plan, 160);
@@ -239,14 +246,7 @@ fn a_network_with_two_inputs_has_a_certified_set() {
 fn a_network_that_observes_the_follower_has_a_claim_without_one() {
     // Brakes fully behind the gap of 200 m that stands for an absent follower, and accelerates before a close one.
     let network = model_bytes(2, &[TestOnnxNode::Gemm(2, 1, vec![0.0, -0.1], vec![3.0])]);
-    let folder = temp_folder();
-    fs::write(folder.path().join("both.onnx"), network).unwrap();
-    let mapping = "version = 1\nnetwork = \"both.onnx\"\ndecision_interval_s = 0.1\n\
-        [[inputs]]\nquantity = \"gap_ahead_m\"\nabsent = 100.0\n\
-        [[inputs]]\nquantity = \"gap_behind_m\"\nabsent = 200.0\n\
-        [output]\nlow_mps2 = -7.5\nhigh_mps2 = 3.0\n";
-    fs::write(folder.path().join("both.toml"), mapping).unwrap();
-    let controller = NamedController::find("both.toml", folder.path()).unwrap_or_else(|error| panic!("{error}")).kind;
+    let controller = network_controller(&network, "gap_behind_m\"\nabsent = 200.0", 3.0);
     let (set, share) = search(&plan(controller, spec(MotionModel::Absolute, [0.0, 5.0], [0.0, 5.0])), 20);
     assert!(share > 0.9, "{share}");
     assert_eq!(set.certificate.scope().behind.as_deref(), Some("behind: no vehicle"));

@@ -15,7 +15,7 @@
 //! from x to x' stays in the table, and h changes along it by the integral of its slope, so
 //!
 //! ```text
-//! g' - h(x') ≥ λ + Δg - maximum of slope · (x' - x) on the simplices that the segment touches
+//! g' - h(x') ≥ λ + Δg - maximum of slope · (x' - x) on the simplices that the segment meets
 //! ```
 //!
 //! The check bounds the right side for each cell, with intervals for x, Δg and x' - x, and over all simplices of the
