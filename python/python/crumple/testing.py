@@ -71,8 +71,7 @@ def check(
             if isinstance(resolved, str):
                 command = f"crumple simulate {shlex.quote(str(file))} --controller {shlex.quote(resolved)}"
             raise PropertyViolated(
-                f"property violated: {tested.name}\n  {reason}\n"
-                f"scenario: {file}\nreplay: {command}\n{drawing}"
+                f"property violated: {tested.name}\n  {reason}\nscenario: {file}\nreplay: {command}\n{drawing}"
             )
 
 
