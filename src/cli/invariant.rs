@@ -218,8 +218,8 @@ impl InvariantCommand {
 impl InvariantCommand {
     /// Returns the boundary against the closing speed, for some own speeds.
     fn picture_lines(&self, set: &InvariantSet) -> Vec<(String, Vec<(f64, f64)>)> {
-        let [own, leader, _] = *set.table.axes();
-        let heights = |own_mps: f64, leader_mps: f64| set.table.height_at([own_mps, leader_mps, 0.0]);
+        let [own, leader] = *set.table.axes();
+        let heights = |own_mps: f64, leader_mps: f64| set.table.height_at([own_mps, leader_mps]);
         if leader.cells == 0 {
             let points = (0..own.node_count()).map(|index| own.node(index));
             let points = points.filter_map(|speed| Some((speed, heights(speed, leader.low)?)));

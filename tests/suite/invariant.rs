@@ -110,7 +110,7 @@ fn attack_boundary(table: &HeightTable, mps: f64, attacks: u32) -> f64 {
     let mut smallest = f64::INFINITY;
     for _ in 0..attacks {
         let (own, leader) = (random.random_range(0.0..mps), random.random_range(0.0..mps));
-        let height = table.height_at([own, leader, 0.0]).expect("in the table");
+        let height = table.height_at([own, leader]).expect("in the table");
         let gap = height + if random.random_bool(0.5) { 0.0 } else { random.random_range(0.0..5.0) };
         smallest = smallest.min(attack([gap, own, leader], mps, &mut random));
     }

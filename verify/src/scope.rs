@@ -244,7 +244,7 @@ fn reach_scope(claim: &ReachClaim) -> Scope {
 }
 
 fn invariant_scope(claim: &InvariantClaim) -> Scope {
-    let [own, leader, _] = claim.axes;
+    let [own, leader] = claim.axes;
     let driver = match &claim.controller {
         InvariantController::Law(law @ FollowerLaw::Idm(_)) => law.to_string(),
         InvariantController::Law(law) => {

@@ -2,7 +2,7 @@
 //!
 //! # Model
 //! A vehicle under test at own speed v follows a leader at speed w with a gap g. Every T seconds the controller
-//! commands an acceleration from observations within stated errors of (g, v, w). An actuator lag is a further state.
+//! commands an acceleration from observations within stated errors of (g, v, w), which the actuator applies at once.
 //! The leader accelerates arbitrarily within [-b, a], also between decisions. No vehicle reverses. The *relative* model
 //! has only the gap and the closing speed v - w, which may be negative, and no standstill.
 //!
@@ -76,8 +76,6 @@ pub struct InvariantClaim {
     pub step_s: f64,
     /// Steps between decisions.
     pub decision_steps: u32,
-    /// Share of the difference to the command that the actuator covers per step; 1 without lag.
-    pub response_per_step: f64,
     /// Hardest braking, negative, and largest acceleration of the vehicle under test, in m/s².
     pub own_mps2: [f64; 2],
     /// Hardest braking, negative, and largest acceleration of the leader, in m/s².
@@ -95,7 +93,7 @@ pub struct InvariantClaim {
     pub region_leader_mps: [f64; 2],
     /// Largest initial own speed of the claim, in m/s. The set speed of `acc-aeb` is at most this.
     pub initial_own_mps_at_most: f64,
-    /// Own speed, leader's speed and own acceleration of the nodes.
+    /// Own and leader's speed of the nodes.
     pub axes: [TableAxis; AXIS_COUNT],
     /// Number of times that the check may divide a cell.
     pub splits: u32,
@@ -190,9 +188,6 @@ impl InvariantClaim {
         if !(self.step_s > 0.0 && self.step_s.is_finite() && (1..=MAX_DECISION_STEPS).contains(&self.decision_steps)) {
             return Err(Rejection::invalid("step_s", "and `decision_steps` must be positive"));
         }
-        if !(self.response_per_step > 0.0 && self.response_per_step <= 1.0) {
-            return Err(Rejection::invalid("response_per_step", "must be above 0, and at most 1"));
-        }
         if !self.observation_error.iter().all(|error| *error >= 0.0 && error.is_finite()) {
             return Err(Rejection::invalid("observation_error", "is negative or infinite"));
         }
@@ -223,7 +218,6 @@ impl InvariantClaim {
             motion: self.motion,
             command,
             interval_s: self.interval_s(),
-            response: [Interval::point(self.response_per_step), self.total_response()],
             own_mps2,
             leader_mps2,
             error: self.observation_error,
@@ -239,28 +233,21 @@ impl InvariantClaim {
     /// [`Rejection`] names the field.
     fn check_axes(&self, table: &HeightTable) -> Result<(), Rejection> {
         let wrong = |problem| Err(Rejection::invalid("axes", problem));
-        let [own, leader, acceleration] = self.axes;
-        let is_immediate = self.response_per_step == 1.0;
+        let [own, leader] = self.axes;
         if self.initial_own_mps_at_most > own.high {
             return wrong("must contain the largest own speed at the start");
         }
-        if is_immediate && acceleration != TableAxis::point(0.0) {
-            return wrong("must have the own acceleration 0 without lag");
-        }
-        if !is_immediate && (acceleration.low > self.own_mps2[0] || acceleration.high < self.own_mps2[1]) {
-            return wrong("must cover the limits of the own acceleration");
-        }
         match self.motion {
             MotionModel::Absolute if own.low != 0.0 || leader.low != 0.0 => wrong("must begin at speed 0"),
-            MotionModel::Relative if leader != TableAxis::point(0.0) || !is_immediate => {
-                wrong("must have the leader's speed 0, and no lag, in the relative model")
+            MotionModel::Relative if leader != TableAxis::point(0.0) => {
+                wrong("must have the leader's speed 0 in the relative model")
             }
             MotionModel::Relative => {
                 let relative = Interval::point(self.own_mps2[1]) - Interval::point(self.leader_mps2[0]);
                 let fastest = (relative * self.interval_s()).high();
                 let reached = (Interval::point(own.low) + Interval::point(fastest)).high();
                 let nodes = (0..own.node_count()).take_while(|&i| i == 0 || own.node(i - 1) < reached);
-                let is_level = nodes.into_iter().all(|i| table.node_height([i, 0, 0]) == table.node_height([0; 3]));
+                let is_level = nodes.into_iter().all(|i| table.node_height([i, 0]) == table.node_height([0; 2]));
                 if is_level && own.low <= -fastest {
                     Ok(())
                 } else {

@@ -12,7 +12,7 @@ impl InvariantClaim {
     /// [`Rejection`] if the region is invalid.
     pub fn share(&self, table: &HeightTable) -> Result<f64, Rejection> {
         let point = Interval::point;
-        let [own, leader, acceleration] = self.axes;
+        let [own, leader] = self.axes;
         let widths = [self.region_own_mps, self.region_leader_mps].map(|[low, high]| high - low);
         let is_line = leader.cells == 0 && widths[1] == 0.0 && self.region_leader_mps[0] == leader.low;
         let is_region = self.region_gap_m > 0.0 && self.region_gap_m.is_finite() && widths[0] > 0.0;
@@ -22,10 +22,6 @@ impl InvariantClaim {
                 "must be positive and finite, and the speeds of the region must increase",
             ));
         }
-        // The own acceleration is 0 at the start.
-        let Some(at_rest) = (0..acceleration.node_count()).find(|&index| acceleration.node(index) == 0.0) else {
-            return Err(Rejection::invalid("axes", "must have a node at own acceleration 0"));
-        };
         let inside = |axis: TableAxis, index: usize, [low, high]: [f64; 2]| {
             let range = axis.cell(index);
             (range.low() >= low && range.high() <= high).then(|| point(range.high()) - point(range.low()))
@@ -38,7 +34,7 @@ impl InvariantClaim {
                 let leader_width =
                     if is_line { Some(Interval::ONE) } else { inside(leader, j, self.region_leader_mps) };
                 let Some(leader_width) = leader_width else { continue };
-                let depth = point(self.region_gap_m) - table.mean_height([i, j, at_rest]);
+                let depth = point(self.region_gap_m) - table.mean_height([i, j]);
                 volume += depth.max(Interval::ZERO) * own_width * leader_width;
             }
         }

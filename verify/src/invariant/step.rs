@@ -1,8 +1,8 @@
 //! The condition on one part of one cell, and its proof: see [`invariant`](super).
 
+use super::MotionModel;
 use super::command::CommandModel;
 use super::table::{AXIS_COUNT, HeightTable, TableAxis};
-use super::{InvariantClaim, MotionModel};
 use crate::interval::Interval;
 use crate::motion::distance_and_speed_after;
 use crate::reach::form::AffineForm;
@@ -19,8 +19,6 @@ pub(super) struct ClosedLoop<'a> {
     pub(super) motion: MotionModel,
     pub(super) command: CommandModel<'a>,
     pub(super) interval_s: Interval,
-    /// Shares of the difference to the command that the actuator covers in the first step, and in all steps.
-    pub(super) response: [Interval; 2],
     pub(super) own_mps2: Interval,
     pub(super) leader_mps2: Interval,
     /// Largest errors of the observed gap, own and leader's speed.
@@ -50,7 +48,7 @@ struct Part {
     above_m: Interval,
 }
 
-/// Speeds and own acceleration of the states of a part, and their closing speeds.
+/// Speeds of the states of a part, and their closing speeds.
 #[derive(Clone, Copy)]
 struct PartRanges {
     of_axis: [Interval; AXIS_COUNT],
@@ -78,7 +76,7 @@ impl ClosedLoop<'_> {
         if !self.budget.charge(INTERVAL_OPS_PER_PART * OPS_PER_INTERVAL_OP) {
             return Err(f64::INFINITY);
         }
-        let (gap, [own, leader, _]) = part.forms(table);
+        let (gap, [own, leader]) = part.forms(table);
         if gap.range().low() > self.ends_beyond_gap_m {
             return Ok(());
         }
@@ -123,12 +121,9 @@ impl ClosedLoop<'_> {
         if count > MAX_TOUCHED_CELLS || !self.budget.charge(operations) {
             return f64::INFINITY;
         }
-        let [own, leader, acceleration] = touched.map(|[first, last]| first..=last);
+        let [own, leader] = touched.map(|[first, last]| first..=last);
         let mut worst_m = f64::NEG_INFINITY;
-        for cell in own.flat_map(|i| {
-            let acceleration = acceleration.clone();
-            leader.clone().flat_map(move |j| acceleration.clone().map(move |k| [i, j, k]))
-        }) {
+        for cell in own.flat_map(|i| leader.clone().map(move |j| [i, j])) {
             let mut from = *ranges;
             let mut of_state = of_state;
             let is_touched = |(axis, &TableAxis { cells, .. }): (usize, &TableAxis)| {
@@ -160,21 +155,19 @@ impl ClosedLoop<'_> {
     fn change(&self, ranges: &PartRanges, command: Interval) -> Change {
         let point = Interval::point;
         let (time, half) = (self.interval_s, self.interval_s.sqr() * point(0.5));
-        let [own, leader, acceleration] = ranges.of_axis;
+        let [own, leader] = ranges.of_axis;
         if self.motion == MotionModel::Relative {
             let relative = command - self.leader_mps2;
             return Change {
                 leader_m: 0.0,
                 growth_m: -(own * time + point(relative.high()) * half).high(),
                 stops_at_mps2: None,
-                of_state: [relative * time, Interval::ZERO, Interval::ZERO],
+                of_state: [relative * time, Interval::ZERO],
             };
         }
-        let blend = |share: Interval| acceleration * (Interval::ONE - share) + command * share;
-        let [first, all] = self.response.map(blend);
-        let (held, leads) = (first.hull(all), self.leader_mps2);
+        let leads = self.leader_mps2;
         let changes = |speed: Interval, acceleration: Interval| (acceleration * time).max(-speed);
-        let hardest = point(held.high());
+        let hardest = point(command.high());
         let leader_m = distance_and_speed_after(point(leader.low()), point(leads.low()), time).0.low().max(0.0);
         let own_m = distance_and_speed_after(point(own.high()), hardest, time).0.high();
         let may_stop = (point(own.low()) + hardest * time).low() < 0.0;
@@ -184,8 +177,8 @@ impl ClosedLoop<'_> {
         Change {
             leader_m,
             growth_m: if may_stop { apart_m } else { apart_m.max(of_closing.low()) },
-            stops_at_mps2: may_stop.then_some(held.high()),
-            of_state: [changes(own, held), changes(leader, leads), (command - acceleration) * self.response[1]],
+            stops_at_mps2: may_stop.then_some(command.high()),
+            of_state: [changes(own, command), changes(leader, leads)],
         }
     }
 
@@ -207,7 +200,6 @@ impl ClosedLoop<'_> {
     /// True if no state of the table reaches a larger own speed than the table has, whatever the gap.
     pub(super) fn keeps_own_speed(&self, table: &HeightTable, farthest_m: f64) -> bool {
         let axis = table.axes()[0];
-        let is_immediate = self.response[0] == Interval::ONE && self.motion == MotionModel::Absolute;
         let fastest = Interval::point(self.own_mps2.high().max(0.0)) * self.interval_s;
         let keeps = |index: usize| {
             let speeds = axis.cell(index);
@@ -219,7 +211,7 @@ impl ClosedLoop<'_> {
             observed.iter_mut().zip(self.error).for_each(|(form, error)| form.widen(error));
             self.command.range(&observed, self.own_mps2, self.budget).high() <= 0.0
         };
-        is_immediate && (0..axis.cells as usize).all(keeps)
+        self.motion == MotionModel::Absolute && (0..axis.cells as usize).all(keeps)
     }
 }
 
@@ -292,15 +284,4 @@ fn halves(range: Interval) -> impl Iterator<Item = Interval> {
     let first = if is_point { Some(range) } else { Interval::new(range.low(), middle) };
     let second = if is_point { None } else { Interval::new(middle, range.high()) };
     first.into_iter().chain(second)
-}
-
-impl InvariantClaim {
-    /// Returns 1 - (1 - f)ⁿ for the response f of each of n steps of a decision interval.
-    pub(super) fn total_response(&self) -> Interval {
-        if self.response_per_step == 1.0 {
-            return Interval::ONE;
-        }
-        let stays = Interval::ONE - Interval::point(self.response_per_step);
-        Interval::ONE - (0..self.decision_steps).fold(Interval::ONE, |product, _| product * stays)
-    }
 }

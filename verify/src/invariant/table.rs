@@ -11,8 +11,8 @@ use crate::Rejection;
 use crate::claim::ConstantPiece;
 use crate::interval::Interval;
 
-/// Number of axes: own speed, leader's speed, own acceleration.
-pub const AXIS_COUNT: usize = 3;
+/// Number of axes: own speed, leader's speed.
+pub const AXIS_COUNT: usize = 2;
 /// Unit of heights, in metres.
 pub const HEIGHT_UNIT_M: f64 = 1.0 / 1024.0;
 /// Maximum number of nodes of a table, and of cells of an axis.
@@ -127,8 +127,10 @@ impl HeightTable {
             let width = |index| Interval::point(axis.node(index + 1)) - Interval::point(axis.node(index));
             (0..axis.cells as usize).map(|index| Interval::ONE.over(width(index))).collect()
         };
-        let active: Vec<usize> = (0..AXIS_COUNT).filter(|&axis| axes[axis].cells > 0).collect();
-        Ok(Self { axes, heights: vec![height_m; nodes], inverse_widths: axes.map(inverse), orders: orders(&active) })
+        let order: Vec<usize> = (0..AXIS_COUNT).filter(|&axis| axes[axis].cells > 0).collect();
+        let mut orders = vec![order.clone(), order.into_iter().rev().collect()];
+        orders.dedup();
+        Ok(Self { axes, heights: vec![height_m; nodes], inverse_widths: axes.map(inverse), orders })
     }
 
     /// Creates a table from the runs of [`to_runs`](Self::to_runs).
@@ -195,8 +197,8 @@ impl HeightTable {
         indices(self.axes.map(TableAxis::node_count))
     }
 
-    fn index(&self, [i, j, k]: [usize; AXIS_COUNT]) -> usize {
-        (i * self.axes[1].node_count() + j) * self.axes[2].node_count() + k
+    fn index(&self, [i, j]: [usize; AXIS_COUNT]) -> usize {
+        i * self.axes[1].node_count() + j
     }
 
     /// Returns the height of a node, in metres.
@@ -247,34 +249,27 @@ impl HeightTable {
         slopes
     }
 
-    /// Returns the heights over a part of a cell.
-    #[must_use]
-    pub fn heights_over(&self, cell: [usize; AXIS_COUNT], part: &[Interval; AXIS_COUNT]) -> Interval {
-        let base = Interval::point(self.node_height(cell));
-        let over = |order: &Vec<usize>| {
-            let slopes = self.slopes(cell, order);
-            let step = |sum, &axis: &usize| {
-                sum + slopes[axis] * (part[axis] - Interval::point(self.axes[axis].node(cell[axis])))
-            };
-            order.iter().fold(base, step)
-        };
-        let linear = self.orders.iter().map(over).reduce(Interval::hull).unwrap_or(base);
-        let nodes = self.orders.iter().flat_map(|order| self.simplex(cell, order));
-        let corners = nodes.map(|node| Interval::point(self.node_height(node))).reduce(Interval::hull).unwrap_or(base);
-        linear.max(Interval::point(corners.low())).min(Interval::point(corners.high()))
-    }
-
     /// Returns an upper bound of the height at a state, in metres; `None` outside the table.
     #[must_use]
     pub fn height_at(&self, state: [f64; AXIS_COUNT]) -> Option<f64> {
-        let is_inside = self.axes.iter().zip(state).all(|(axis, value)| axis.range().contains(value));
-        let part = state.map(Interval::point);
-        let cell = std::array::from_fn(|axis| self.axes[axis].cells_of(part[axis])[0]);
-        is_inside.then(|| self.heights_over(cell, &part).high())
+        if !self.axes.iter().zip(state).all(|(axis, value)| axis.range().contains(value)) {
+            return None;
+        }
+        let cell = std::array::from_fn(|axis| self.axes[axis].cells_of(Interval::point(state[axis]))[0]);
+        let base = Interval::point(self.node_height(cell));
+        let linear = |order: &Vec<usize>| {
+            let slopes = self.slopes(cell, order);
+            let along = |axis: usize| Interval::point(state[axis]) - Interval::point(self.axes[axis].node(cell[axis]));
+            order.iter().fold(base, |sum, &axis| sum + slopes[axis] * along(axis)).high()
+        };
+        let nodes = self.orders.iter().flat_map(|order| self.simplex(cell, order));
+        let highest_node_m = nodes.map(|node| self.node_height(node)).fold(f64::NEG_INFINITY, f64::max);
+        let highest_m = self.orders.iter().map(linear).fold(f64::NEG_INFINITY, f64::max);
+        Some(highest_m.min(highest_node_m))
     }
 
-    /// Returns the mean height over a cell of the first two axes at a node of the last.
-    pub(super) fn mean_height(&self, [i, j, k]: [usize; AXIS_COUNT]) -> Interval {
+    /// Returns the mean height over a cell.
+    pub(super) fn mean_height(&self, [i, j]: [usize; AXIS_COUNT]) -> Interval {
         let has_cells = [self.axes[0].cells > 0, self.axes[1].cells > 0];
         // Mean over the simplices of the means of their nodes.
         let weighted: &[([usize; 2], f64, f64)] = match has_cells {
@@ -284,24 +279,12 @@ impl HeightTable {
             [false, false] => &[([0, 0], 1.0, 1.0)],
         };
         weighted.iter().fold(Interval::ZERO, |sum, &([own, leader], share, of)| {
-            let height = Interval::point(self.node_height([i + own, j + leader, k]));
+            let height = Interval::point(self.node_height([i + own, j + leader]));
             sum + (height * Interval::point(share)).over(Interval::point(of))
         })
     }
 }
 
-fn indices([own, leader, acceleration]: [usize; AXIS_COUNT]) -> impl Iterator<Item = [usize; AXIS_COUNT]> {
-    (0..own).flat_map(move |i| (0..leader).flat_map(move |j| (0..acceleration).map(move |k| [i, j, k])))
-}
-
-/// Returns all orders of some axes.
-fn orders(of: &[usize]) -> Vec<Vec<usize>> {
-    if of.is_empty() {
-        return vec![Vec::new()];
-    }
-    let with_first = |&first: &usize| {
-        let rest: Vec<usize> = of.iter().copied().filter(|&axis| axis != first).collect();
-        orders(&rest).into_iter().map(move |order| std::iter::once(first).chain(order).collect::<Vec<_>>())
-    };
-    of.iter().flat_map(with_first).collect()
+fn indices([own, leader]: [usize; AXIS_COUNT]) -> impl Iterator<Item = [usize; AXIS_COUNT]> {
+    (0..own).flat_map(move |i| (0..leader).map(move |j| [i, j]))
 }

@@ -96,9 +96,6 @@ impl InvariantPlan {
             return Err(InvalidBox::Controller("must be idm, acc-aeb, a policy or a network".to_owned()));
         }
         let claim = spec.frame(scenario, bytes.as_deref())?;
-        if claim.response_per_step < 1.0 {
-            return Err(InvalidBox::field("scenario", "must have no actuator lag, for which this search has no grid"));
-        }
         claim.check_model(bytes.as_deref()).map_err(map_rejection)?;
         let texts = [file::to_toml(scenario)?, toml::to_string(&spec)?];
         Ok(Self { scenario: scenario.clone(), controller, texts, bytes, claim })
@@ -154,7 +151,7 @@ impl InvariantPlan {
             MotionModel::Absolute => TableAxis { low: 0.0, high: claim.region_leader_mps[1], cells: options.cells },
             MotionModel::Relative => TableAxis::point(0.0),
         };
-        claim.axes = [own, leader, TableAxis::point(0.0)];
+        claim.axes = [own, leader];
         let lowest_m = claim.floor_m().max(options.smallest_gap_m);
         let start_m = ((lowest_m / HEIGHT_UNIT_M).floor() + 1.0) * HEIGHT_UNIT_M;
         let mut table = HeightTable::new(claim.axes, start_m).map_err(map_rejection)?;

@@ -81,7 +81,7 @@ impl InvariantPlan {
         };
         for own_mps in speeds([0.0, table.axes()[0].high.min(self.claim.region_own_mps[1])]) {
             for leader_mps in speeds(self.claim.region_leader_mps) {
-                let Some(height_m) = table.height_at([own_mps, leader_mps, 0.0]) else { continue };
+                let Some(height_m) = table.height_at([own_mps, leader_mps]) else { continue };
                 for (share, leader_accelerates_s) in
                     HEIGHT_SHARES.into_iter().flat_map(|share| ACCELERATES_S.map(|time_s| (share, time_s)))
                 {

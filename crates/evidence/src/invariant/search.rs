@@ -56,7 +56,7 @@ impl BoundarySearch<'_> {
     ) -> Option<u32> {
         let cells: Vec<Node> = table.cells().collect();
         let counts = table.axes().map(|axis| (axis.cells as usize).max(1));
-        let index = |[i, j, k]: Node| (i * counts[1] + j) * counts[2] + k;
+        let index = |[i, j]: Node| i * counts[1] + j;
         let mut is_due = vec![true; cells.len()];
         let mut reserves_m = vec![RESERVE_M; cells.len()];
         for pass in 0..MAX_PASSES {
@@ -161,7 +161,7 @@ impl BoundarySearch<'_> {
     }
 
     /// Returns the commands at a state, for the extreme accelerations that a network may observe.
-    fn commands(&mut self, gap_m: f64, &[own_mps, leader_mps, _]: &[f64; AXIS_COUNT]) -> [f64; 2] {
+    fn commands(&mut self, gap_m: f64, &[own_mps, leader_mps]: &[f64; AXIS_COUNT]) -> [f64; 2] {
         // In the relative model only the difference counts.
         let slowest = if self.claim.motion == MotionModel::Relative { self.claim.axes[0].low } else { 0.0 };
         let [speed_mps, leader_mps] = [own_mps - slowest, leader_mps - slowest];
@@ -230,8 +230,6 @@ fn mark_near(node: Node, shortfall: &Shortfall, cell: Node, counts: Node, mut ma
         node[axis].saturating_sub(distance + 1)..(node[axis] + distance).min(counts[axis])
     };
     for i in near(0) {
-        for j in near(1) {
-            near(2).for_each(|k| mark([i, j, k]));
-        }
+        near(1).for_each(|j| mark([i, j]));
     }
 }

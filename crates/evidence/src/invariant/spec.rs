@@ -61,13 +61,14 @@ impl InvariantSpec {
         let is_plain = ego.acceleration_noise_mps2 == 0.0
             && ego.reaction_delay_s == 0.0
             && ego.actuator_delay_s == 0.0
+            && ego.actuator_lag_s == 0.0
             && ego.jerk_limit_mps3.is_none()
             && ego.multi_body().is_none()
             && ego.keeps_lane();
         if ego.driver != Driver::UnderTest || !is_plain {
             return Err(wrong(
-                "the second vehicle must be under test, stay in the lane, and have no noise, delay or limited jerk, \
-                 and the plant `point-mass`",
+                "the second vehicle must be under test, stay in the lane, and have no noise, delay, lag or limited \
+                 jerk, and the plant `point-mass`",
             ));
         }
         let own_mps2 = [-scenario.usable_brake_mps2(1), ego.max_accel_mps2()];
@@ -95,13 +96,11 @@ impl InvariantSpec {
             }
             _ => return Err(InvalidBox::Controller("must be either a law or a policy".to_owned())),
         };
-        let lag_s = ego.actuator_lag_s;
         Ok(InvariantClaim {
             motion: self.motion,
             controller,
             step_s,
             decision_steps,
-            response_per_step: if lag_s > 0.0 { -(-step_s / lag_s).exp_m1() } else { 1.0 },
             own_mps2,
             leader_mps2: self.leader_mps2,
             observation_error: self.observation_error,
@@ -110,7 +109,7 @@ impl InvariantSpec {
             region_own_mps: self.region_own_mps,
             region_leader_mps: self.region_leader_mps,
             initial_own_mps_at_most: 0.0,
-            axes: [TableAxis::point(0.0); 3],
+            axes: [TableAxis::point(0.0); 2],
             splits: 0,
             heights: Vec::new(),
             share_at_least: 0.0,

@@ -12,22 +12,17 @@ impl BoundarySearch<'_> {
         let time_s = claim.step_s * f64::from(claim.decision_steps);
         let is_relative = claim.motion == MotionModel::Relative;
         // Ranges of the change of each state, and the smallest growth of the gap.
-        let motion = |&[own, leader, acceleration]: &[f64; AXIS_COUNT]| {
-            let share = |steps: u32| 1.0 - (1.0 - claim.response_per_step).powi(steps as i32);
-            let blend = |command: f64, share: f64| acceleration + share * (command - acceleration);
-            let held = command.map(|command| [blend(command, share(1)), blend(command, share(claim.decision_steps))]);
-            let [low, high] = held.into_iter().fold([f64::INFINITY, f64::NEG_INFINITY], hull);
-            let [brakes, accelerates] = claim.leader_mps2;
-            let change_mps2 = command.map(|command| (command - acceleration) * share(claim.decision_steps));
+        let motion = |&[own, leader]: &[f64; AXIS_COUNT]| {
+            let ([low, high], [brakes, accelerates]) = (command, claim.leader_mps2);
             if is_relative {
                 let of_closing = [low - accelerates, high - brakes];
                 let growth_m = -own * time_s - 0.5 * of_closing[1] * time_s * time_s;
-                return (growth_m, [of_closing.map(|change| change * time_s), [0.0; 2], [0.0; 2]]);
+                return (growth_m, [of_closing.map(|change| change * time_s), [0.0; 2]]);
             }
-            let [slow, fast] = [low, high].map(|held| advance(own, held, time_s));
+            let [slow, fast] = command.map(|held| advance(own, held, time_s));
             let leads = [brakes, accelerates].map(|held| advance(leader, held, time_s));
             let growth_m = leads[0][0] - fast[0];
-            (growth_m, [[slow[1] - own, fast[1] - own], leads.map(|end| end[1] - leader), change_mps2])
+            (growth_m, [[slow[1] - own, fast[1] - own], leads.map(|end| end[1] - leader)])
         };
         let motions: Vec<_> = states.iter().map(motion).collect();
         let touched: [[usize; 2]; AXIS_COUNT] = std::array::from_fn(|axis| {
@@ -47,12 +42,10 @@ impl BoundarySearch<'_> {
         let extent: [[f64; 2]; AXIS_COUNT] = std::array::from_fn(|axis| {
             states.iter().map(|state| [state[axis]; 2]).fold([f64::INFINITY, f64::NEG_INFINITY], hull)
         });
-        let mut worst = Shortfall { missing_m: f64::NEG_INFINITY, cell: [0; 3], order: 0, change: [0.0; 3] };
+        let mut worst = Shortfall { missing_m: f64::NEG_INFINITY, cell: [0; 2], order: 0, change: [0.0; 2] };
         for i in touched[0][0]..=touched[0][1] {
-            for (j, k) in
-                (touched[1][0]..=touched[1][1]).flat_map(|j| (touched[2][0]..=touched[2][1]).map(move |k| (j, k)))
-            {
-                let cell = [i, j, k];
+            for j in touched[1][0]..=touched[1][1] {
+                let cell = [i, j];
                 for (order, of_order) in table.orders().iter().enumerate() {
                     let nodes = table.simplex(cell, of_order);
                     let mut slopes = [0.0; AXIS_COUNT];

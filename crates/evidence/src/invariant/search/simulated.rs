@@ -31,18 +31,17 @@ impl BoundarySearch<'_> {
 
     /// Simulates a leader that accelerates for a while and then brakes, as hard as it may.
     fn collides(&mut self, mut gap_m: f64, state: [f64; AXIS_COUNT], accelerates_s: f64) -> bool {
-        let [mut own, mut leader, mut acceleration] = state;
+        let [mut own, mut leader] = state;
         let (claim, fastest) = (self.claim, self.claim.axes[1].high);
         let [brakes, accelerates] = claim.leader_mps2;
         let is_relative = claim.motion == MotionModel::Relative;
-        let mut command = 0.0;
+        let mut acceleration = 0.0;
         for step in 0..MAX_SIMULATED_STEPS {
             let leads = if f64::from(step) * claim.step_s < accelerates_s { accelerates } else { brakes };
             if step % claim.decision_steps == 0 {
-                let [low, high] = self.commands(gap_m, &[own, leader, acceleration]);
-                command = (0.5 * (low + high)).clamp(claim.own_mps2[0], claim.own_mps2[1]);
+                let [low, high] = self.commands(gap_m, &[own, leader]);
+                acceleration = (0.5 * (low + high)).clamp(claim.own_mps2[0], claim.own_mps2[1]);
             }
-            acceleration += claim.response_per_step * (command - acceleration);
             if is_relative {
                 let of_closing = acceleration - leads;
                 gap_m -= (own + 0.5 * of_closing * claim.step_s) * claim.step_s;
