@@ -12,7 +12,7 @@ use crumple_report::assessment::{
 use saphyr::{LoadableYamlNode, Yaml};
 use serde_json::Value;
 
-pub(crate) static BUILT_IN_ASSESSMENT: LazyLock<AssessmentReport> = LazyLock::new(|| {
+static BUILT_IN_ASSESSMENT: LazyLock<AssessmentReport> = LazyLock::new(|| {
     assess(&AssessmentPlan::built_in().expect("valid"), &EvidenceCache::disabled(), None, &Quiet).expect("runs")
 });
 
