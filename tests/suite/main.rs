@@ -1,6 +1,6 @@
 //! Tests of crumple by subject, in one program, so that it is linked once.
 //!
-//! Each property test states its number of cases for `PROPTEST_CASES=256` (`crates/cases`). proptest stores failures in
+//! Each property test states its number of cases for `PROPERTY_CASES=256` (`crates/cases`). proptest stores failures in
 //! `proptest-regressions/`.
 #![allow(clippy::unwrap_used, clippy::expect_used, clippy::panic, reason = "everything here is a test")]
 

@@ -1,27 +1,46 @@
 //! Number of cases of every property test in the workspace.
 //!
-//! `PROPTEST_CASES` scales all tests together. `.cargo/config.toml` sets 64, `.ci/nightly` 2560.
+//! `PROPERTY_CASES` scales all tests together; the default is 64, and `.ci/nightly` sets 2560. It is not proptest's own
+//! variable, `PROPTEST_CASES`, which replaces the number of each test, so that a test that needs minutes for 64 cases
+//! runs 64, and one that needs a second for 1500, too.
 
 use proptest::test_runner::Config;
 
-const DEFAULT_CASES: u64 = 256;
+const VARIABLE: &str = "PROPERTY_CASES";
+const DEFAULT_CASES: u64 = 64;
+/// Value of the variable at which a test has its normal number of cases.
+const NORMAL_CASES: u64 = 256;
 
-/// Returns a configuration for `normal` cases at `PROPTEST_CASES=256`, scaled for other values, with at least one case.
+/// Returns a configuration for `normal` cases at `PROPERTY_CASES=256`, scaled for other values, with at least one case.
+///
+/// # Panics
+/// If the variable is not a number.
 #[must_use]
+#[expect(clippy::panic, reason = "only tests call it")]
 pub fn with_cases(normal: u32) -> Config {
-    let config = Config::default();
-    let scaled = (u64::from(normal) * u64::from(config.cases)).div_ceil(DEFAULT_CASES);
-    Config { cases: u32::try_from(scaled).unwrap_or(u32::MAX), max_shrink_iters: 2000, ..config }
+    let wanted = std::env::var(VARIABLE).map_or(DEFAULT_CASES, |text| match text.parse() {
+        Ok(wanted) => wanted,
+        Err(_) => panic!("{VARIABLE} must be a number, found {text:?}"),
+    });
+    let scaled = u64::from(normal).saturating_mul(wanted).div_ceil(NORMAL_CASES).max(1);
+    Config { cases: u32::try_from(scaled).unwrap_or(u32::MAX), max_shrink_iters: 2000, ..Config::default() }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::cell::Cell;
+
+    use proptest::prelude::*;
+
     use super::*;
 
+    /// proptest applies its own variables after this configuration.
     #[test]
-    fn cases_are_in_proportion_to_the_variable() {
-        let variable = Config::default().cases;
-        assert_eq!(with_cases(256).cases, variable);
-        assert!(with_cases(5).cases >= 1 && with_cases(2560).cases == 10 * variable);
+    fn a_test_runs_its_share_of_cases() {
+        let count = Cell::new(0);
+        proptest!(with_cases(2 * NORMAL_CASES as u32), |(_ in 0..9_u8)| count.set(count.get() + 1));
+        let wanted = with_cases(NORMAL_CASES as u32).cases;
+        assert_eq!(count.get(), 2 * wanted);
+        assert!(with_cases(5).cases >= 1 && with_cases(2560).cases == 10 * wanted);
     }
 }

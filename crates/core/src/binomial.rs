@@ -157,6 +157,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         /// Compares with the checker's tail, which rounds upwards by at most eight units in the last place per run.
         #[test]
         fn ends_are_never_inside(

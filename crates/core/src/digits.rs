@@ -87,6 +87,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         #[test]
         fn no_bound_is_below_its_number(
             bound in proptest::num::f64::POSITIVE | proptest::num::f64::NORMAL,

@@ -148,6 +148,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         #[test]
         fn nothing_hidden_reaches_a_reader_and_json_means_the_same(text in hostile_text()) {
             prop_assert!(!TerminalText(&text).to_string().chars().any(is_hidden));

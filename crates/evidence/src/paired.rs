@@ -53,6 +53,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         #[test]
         fn is_monotone(new in 0..4000_u64, fixed in 0..4000_u64) {
             let p = |new, fixed| DiscordantPairs { only_second_fails: new, only_first_fails: fixed }.p_value();

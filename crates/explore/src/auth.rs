@@ -120,6 +120,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         /// Any other text in place of the token is refused.
         #[test]
         fn nothing_but_the_token_will_do(

@@ -50,6 +50,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         /// The file of a scenario with any name has the scenario, and a file name that is no path.
         #[test]
         fn a_file_name_is_no_path(name in "(\\.\\./)?[ -~äß/\\\\]{1,40}") {

@@ -201,6 +201,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         /// With any names, the document has exactly the blocks that it was written with.
         #[test]
         fn names_are_words_and_nothing_else(names in prop::collection::vec(hostile(), 1..4)) {

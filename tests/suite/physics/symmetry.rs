@@ -46,6 +46,13 @@ fn any_steady_scenario() -> impl Strategy<Value = Scenario> {
     })
 }
 
+/// Returns the largest difference of positions after `by_m` is added to those of the first result.
+fn largest_shift_m(one: &SimulationResult, other: &SimulationResult, by_m: f64) -> f64 {
+    let vehicles = trace_of(one).vehicles.iter().zip(&trace_of(other).vehicles);
+    let pairs = vehicles.flat_map(|(one, other)| one.position_m.iter().zip(&other.position_m));
+    pairs.map(|(x, y)| (x + by_m - y).abs()).fold(0.0, f64::max)
+}
+
 fn delay_profile(profile: &mut LeadProfile, by_s: f64) {
     let later = |times: &mut Vec<f64>| times.iter_mut().for_each(|time_s| *time_s += by_s);
     match profile {
@@ -85,7 +92,8 @@ proptest! {
         }
     }
 
-    /// The position along the road changes nothing, including noise and estimates.
+    /// The position along the road changes nothing, including noise and estimates, unless a nanometre would: rounding
+    /// decides when a controller at its threshold switches.
     #[test]
     fn spatial_shift(
         scenario in any_scenario(),
@@ -93,16 +101,18 @@ proptest! {
         shift_m in -1e4..1e4_f64,
     ) {
         let scenario = without_learned_drivers(&scenario);
-        let moved = scenario.edited(|spec| spec.vehicles.iter_mut().for_each(|v| v.position_m += shift_m)).unwrap();
         let options = setup.options(scenario.spec().step_s);
-        let (here, there) = (simulate_traced(&scenario, &options), simulate_traced(&moved, &options));
+        let moved = |by_m: &dyn Fn(usize) -> f64| {
+            let add = |(index, vehicle): (usize, &mut VehicleSpec)| vehicle.position_m += by_m(index);
+            let moved = scenario.edited(|spec| spec.vehicles.iter_mut().enumerate().for_each(add)).unwrap();
+            simulate_traced(&moved, &options)
+        };
+        let (here, nearby, there) = (moved(&|_| 0.0), moved(&|index| 1e-9 * index as f64), moved(&|_| shift_m));
         prop_assume!(!is_grazing(&here) && !is_grazing(&there));
+        prop_assume!(largest_shift_m(&here, &nearby, 0.0) < 1e-6);
         assert_same_impacts(&here, &there, 0, 0.0)?;
-        for (here, there) in trace_of(&here).vehicles.iter().zip(&trace_of(&there).vehicles) {
-            for (x, shifted_x) in here.position_m.iter().zip(&there.position_m) {
-                prop_assert!((x + shift_m - shifted_x).abs() < 1e-6, "{x} became {shifted_x}");
-            }
-        }
+        let apart_m = largest_shift_m(&here, &there, shift_m);
+        prop_assert!(apart_m < 1e-6, "{apart_m} m apart");
     }
 
     /// One more vehicle out of reach ahead of a scripted leader changes no bit. Without noise, whose streams depend on

@@ -27,6 +27,8 @@ fn integral(ego: &SceneEgo, [begin, end]: [f64; 2], step_s: f64) -> BigRational 
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     #[test]
     fn the_motion_of_a_step_is_integrated_exactly(
         begin in -5.0..5.0_f64, end in -5.0..5.0_f64, brake in 0.0..9.0_f64, accel in 0.0..9.0_f64,

@@ -481,6 +481,8 @@ fn a_decision_at_every_step_is_bounded_as_well() {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     #[test]
     fn functions_of_forms_hold_the_values(
         centre in -6.0..6.0_f64, radii in prop::array::uniform3(0.0..2.0_f64),

@@ -116,6 +116,8 @@ fn certificate_and_shield_compute_the_same() {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     #[test]
     fn any_pair_is_proved(b in 0.001..30.0_f64, c in 0.001..30.0_f64, v in 0.0..100.0_f64, part in 0.0..2.0_f64) {
         let kernel = ViabilityKernel { own_brake_mps2: b, ahead_brake_mps2: c };

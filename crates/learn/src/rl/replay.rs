@@ -260,6 +260,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         /// The memory holds the last `capacity` transitions and finds collisions, also after a checkpoint.
         #[test]
         fn holds_the_last_ones(capacity in 1..30_usize, count in 1..100_usize) {

@@ -146,6 +146,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         /// Every point is a controller whose text names it, in the ranges, with the initial settings at the centre.
         #[test]
         fn every_point_is_a_valid_controller(coordinates in prop::collection::vec(0.0..=1.0f64, 20)) {

@@ -199,6 +199,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         #[test]
         fn spread_labels_keep_their_distance_and_order(wanted in proptest::collection::vec(-50.0..350.0f64, 1..20)) {
             let placed = spread_evenly(&wanted, 14.0, (0.0, 280.0));

@@ -117,6 +117,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         #[test]
         fn simplification_keeps_close_to_every_point(
             heights in proptest::collection::vec(0.0..200.0f64, 1..400), width in 1.0..500.0f64,

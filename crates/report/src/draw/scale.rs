@@ -125,6 +125,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         #[test]
         fn ticks_are_few_round_and_inside(low in -1e6..1e6f64, exponent in -3.0..6.0f64, most in 0usize..20) {
             let domain = (low, low + 10f64.powf(exponent));

@@ -133,6 +133,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         #[test]
         fn coarse_points_survive_refinement(
             lengths in prop::collection::vec(1usize..25, 1..4),

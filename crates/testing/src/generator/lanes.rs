@@ -59,6 +59,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         #[test]
         fn many_bytes_make_changes_of_all_kinds(bytes in prop::collection::vec(128_u8..=255, LANE_BYTES)) {
             let paper = built_in_scenario("paper-1").unwrap();

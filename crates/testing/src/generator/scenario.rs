@@ -185,6 +185,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         /// A byte belongs to one vehicle or to the road; a change of it leaves the others unchanged.
         #[test]
         fn a_byte_of_a_vehicle_changes_that_vehicle_only(

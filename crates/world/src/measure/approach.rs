@@ -225,6 +225,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         /// For any motion and any stop within a step, a hundred times finer sampling finds the same gap.
         #[test]
         fn the_smallest_gap_does_not_depend_on_the_sampling(

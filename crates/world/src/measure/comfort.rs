@@ -114,6 +114,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         /// Ten times finer sampling of a motion yields equal jerk, as does a search of all pairs.
         #[test]
         fn jerk_does_not_depend_on_the_sampling(accelerations in prop::collection::vec(-8.0..3.0f64, 2..30)) {

@@ -126,6 +126,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         #[test]
         fn the_required_deceleration_just_avoids_contact(
             gap_m in 5.0..50.0f64,

@@ -112,6 +112,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         #[test]
         fn exposure_is_bounded_and_converges(
             gap_m in 5.0..20.0f64,

@@ -179,6 +179,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         /// Tracks that violate every invariant of a trace are measured without a panic.
         #[test]
         fn nothing_panics(

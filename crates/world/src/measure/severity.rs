@@ -63,6 +63,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         /// Closed form for two vehicles that stick together: `Δv = impact speed * m_other / (m_own + m_other)`.
         #[test]
         fn an_impact_shares_its_speed_by_mass(

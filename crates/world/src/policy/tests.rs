@@ -172,6 +172,8 @@ fn no_number_at_all_means_full_braking() {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     #[test]
     fn accepted_policies_output_a_number(seen in any_observation(), seed: u64, exp in 0..39_i32, layer in 0..3_usize) {
         let Policy { header, mut network, .. } = policy(&[6, 4], 0.1, seed);

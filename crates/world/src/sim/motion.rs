@@ -222,6 +222,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         #[test]
         fn contact_and_closest_gap_agree_with_brute_force((front, rear, dt) in any_pair()) {
             let gap_at = |t: f64| front.after(t).position_m - 2.0 - rear.after(t).position_m;

@@ -12,6 +12,8 @@ fn braking_vehicle(speeds: [f64; 2], rates: [f64; 2], onsets: [f64; 2]) -> Braki
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     #[test]
     fn all_have_stood_a_step_after_the_last_has_stopped(
         v in 0.0..30.0_f64, b in 0.5..9.0_f64, onset in 0.0..60.0_f64, widths in prop::array::uniform3(0.0..3.0_f64),

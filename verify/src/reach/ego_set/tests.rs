@@ -14,6 +14,8 @@ fn support(members: &EgoSet, along: &[f64; 6]) -> f64 {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     /// Compares supports from the same middle: no smaller, so all members remain, and hardly larger.
     #[test]
     fn fewer_symbols_hold_the_same_members(
@@ -64,6 +66,8 @@ fn egos_at_speed(speed: AffineForm) -> EgoSet {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     /// Checks moving and standing sets against the module's formulas, and that each member is in one of them.
     #[test]
     fn after_a_decision_members_are_where_the_closed_forms_say(

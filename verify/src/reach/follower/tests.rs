@@ -91,6 +91,8 @@ fn plain_of(law: &IdmLaw, seen: &LawInput) -> Interval {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     /// For one input both evaluations of `idm` are tight.
     #[test]
     fn idm_for_one_observation_is_its_formula(

@@ -31,6 +31,8 @@ fn braking_motion(v: f64, b: f64, t: f64) -> (f64, f64) {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     /// Checks that speed and distance have exactly the module's bounds, cut at standstill and at the shortest stopping
     /// distance.
     #[test]

@@ -22,6 +22,8 @@ fn any_share() -> impl Strategy<Value = f64> {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     #[test]
     fn shares_add_up_to_the_nearest_number_below(a in any_share(), b in any_share()) {
         let (sum, found) = (rational(a) + rational(b), add_shares(a, b));

@@ -65,6 +65,8 @@ fn a_pause_ends_a_window_if_it_is_long() {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     /// Each instant of each window remains in a window whose decision is no later.
     #[test]
     fn every_instant_is_in_a_window(

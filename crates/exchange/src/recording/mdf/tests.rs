@@ -46,6 +46,8 @@ fn signals_equal_those_of_asammdf_and_cantools_bit_by_bit() {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     /// Damaged files end with an error or other values, without panic.
     #[test]
     fn damaged_files_are_no_danger(

@@ -107,6 +107,8 @@ fn one_measure_of_usability_cannot_be_traded_for_another() {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     #[test]
     fn changes_add_up(
         before in proptest::collection::btree_set(0..40_u64, 0..20),

@@ -101,6 +101,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         /// A failure is better than none, and of two failures the one nearer to the objective is better.
         #[test]
         fn failures_come_first_and_are_ordered_by_the_aim(

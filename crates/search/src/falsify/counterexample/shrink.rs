@@ -160,6 +160,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         /// Shrinking terminates, preserves the failure, and stays in the ranges.
         #[test]
         fn shrinking_keeps_failing(seed in any::<u64>(), weights in prop::collection::vec(-1.0..1.0f64, 15)) {

@@ -63,6 +63,8 @@ fn neighbours() -> impl Strategy<Value = Option<Neighbour>> {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     /// The answer is within the limits of the vehicle for any observations.
     #[test]
     fn answers_are_finite_and_within_the_limits(

@@ -88,6 +88,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         #[test]
         fn closed_forms_are_the_largest_closing(v in 0.0..40.0_f64, w in 0.0..40.0_f64, b in 0.5..10.0_f64,
                                                 c in 0.5..10.0_f64, a in -10.0..4.0_f64, dt in 0.01..2.0_f64) {

@@ -89,6 +89,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         #[test]
         fn printed_formulas_parse_to_themselves(formula in formula()) {
             let text = formula.to_string();

@@ -95,6 +95,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         #[test]
         fn equals_its_definition(
             values in prop::collection::vec(-10.0..10.0f64, 0..80),

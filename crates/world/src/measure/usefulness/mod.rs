@@ -192,6 +192,8 @@ mod tests {
     }
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         /// Measures do not depend on the position, survive JSON, and exist for any motion.
         #[test]
         fn a_shift_along_the_road_changes_nothing(

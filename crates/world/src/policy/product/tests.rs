@@ -34,6 +34,8 @@ fn a_product_shared_out_is_the_same() {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     #[test]
     fn products_are_the_sums_in_order(seed: u64, m in 1..40_usize, k in 1..50_usize, n in 1..80_usize, relu: bool) {
         let (a, b, start) = (numbers(seed, m * k), numbers(seed ^ 1, k * n), numbers(seed ^ 2, n));

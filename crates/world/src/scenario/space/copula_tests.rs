@@ -121,6 +121,8 @@ fn draws_have_the_density_that_is_stated() {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     /// Any uniform numbers, ends included, map to a point of the space.
     #[test]
     fn every_corner_of_the_cube_is_a_point(

@@ -43,6 +43,8 @@ fn built_in_spaces_are_valid_and_their_nominal_scenario_is_the_base() {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     /// Every point is a valid scenario, and values map to a point and back.
     #[test]
     fn every_point_is_a_scenario(
@@ -194,6 +196,8 @@ fn derived_fields_match_their_definition() {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     /// Leader speeds and accelerations stay within the limits of the file, followers start at their time gaps, and the
     /// drivers are the named ones.
     #[test]

@@ -147,6 +147,8 @@ fn entering_at_the_start_equals_presence() {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     /// The gap needed at entry for full braking after a reaction time is Δv τ + Δv² / (2 b).
     #[test]
     fn the_gap_needed_is_that_of_the_closed_form(

@@ -120,6 +120,8 @@ mod tests {
     use proptest::prelude::*;
 
     proptest! {
+        #![proptest_config(crumple_cases::with_cases(256))]
+
         #[test]
         fn removing_by_swapping_is_that_of_a_list(
             mut values in prop::collection::vec(-1.0..1.0f64, 1..=RunSet::CAPACITY),

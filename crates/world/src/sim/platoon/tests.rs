@@ -36,6 +36,8 @@ fn a_chain_of_impacts_in_one_step_keeps_momentum_and_order() {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     #[test]
     fn contact_free_advance_equals_the_full_one(
         line in prop::collection::vec((0.0..4.0_f64, 0.0..40.0_f64, -9.0..4.0_f64), 1..10),

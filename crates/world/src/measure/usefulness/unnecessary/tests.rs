@@ -63,6 +63,8 @@ fn without_a_leader_no_braking_is_justified() {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     /// A vehicle that does not brake does not brake unnecessarily. The measured time is at most the time for which
     /// braking exceeds the margin. Finer steps give the same time, up to one coarse step at each change of
     /// acceleration and a few brakings near the minimum duration.

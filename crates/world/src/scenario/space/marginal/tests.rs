@@ -82,6 +82,8 @@ fn extreme_distributions_have_values_at_every_share() {
 }
 
 proptest! {
+    #![proptest_config(crumple_cases::with_cases(256))]
+
     /// The density integrates to one, its integral inverts the quantile, and values map to a coordinate and back.
     #[test]
     fn density_quantile_and_value_belong_together(marginal in any_marginal(), u in 0.001..0.999f64) {
