@@ -13,8 +13,9 @@ use tempfile::TempDir;
 
 use crate::generate::{any_scenario, simulate_traced, with_cases, without_noise};
 
-/// Tolerance: 1 cm, and 1 cm/s.
+/// Tolerance: 1 cm; of speeds 1 cm/s, and 2 cm/s for trajectories, which determine only the mean speed of a step.
 const TOLERANCE: f64 = 0.01;
+const TRAJECTORY_TOLERANCE_MPS: f64 = 0.02;
 
 fn import(exported: &OpenScenario) -> Result<Scenario, String> {
     let folder = TempDir::new().expect("created");
@@ -32,7 +33,7 @@ fn drive(scenario: &Scenario) -> Trace {
 }
 
 /// Compares motions until the first of them ends.
-fn assert_same_motion(trace: &Trace, again: &Trace) {
+fn assert_same_motion(trace: &Trace, again: &Trace, tolerance_mps: f64) {
     for (index, (track, other)) in trace.vehicles.iter().zip(&again.vehicles).enumerate() {
         // A collision ends the last step early.
         let steps = trace.time_s.len().min(again.time_s.len()) - 1;
@@ -41,7 +42,7 @@ fn assert_same_motion(trace: &Trace, again: &Trace) {
             let off_mps = (track.speed_mps[k] - other.speed_mps[k]).abs();
             let time_s = trace.time_s[k];
             assert!(
-                off_m <= TOLERANCE && off_mps <= TOLERANCE,
+                off_m <= TOLERANCE && off_mps <= tolerance_mps,
                 "vehicle {index} at {time_s} s: {off_m} m, {off_mps} m/s"
             );
         }
@@ -75,7 +76,7 @@ fn assert_actions_survive(scenario: &Scenario) {
     let again = export_actions(&imported, "road.xodr").expect("exports again");
     assert_same_file(&exported.scenario, &again.scenario);
     assert_same_file(&exported.road, &again.road);
-    assert_same_motion(&drive(scenario), &drive(&imported));
+    assert_same_motion(&drive(scenario), &drive(&imported), TOLERANCE);
 }
 
 fn assert_trajectories_survive(scenario: &Scenario) {
@@ -83,7 +84,7 @@ fn assert_trajectories_survive(scenario: &Scenario) {
     let exported = export_trajectories(scenario, &trace, None, "road.xodr").expect("exports");
     let imported = import(&exported).expect("imports");
     assert!(imported.vehicles().iter().all(|vehicle| matches!(vehicle.driver, Driver::Profile(_))));
-    assert_same_motion(&trace, &drive(&imported));
+    assert_same_motion(&trace, &drive(&imported), TRAJECTORY_TOLERANCE_MPS);
 }
 
 #[test]

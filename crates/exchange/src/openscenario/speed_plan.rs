@@ -7,7 +7,7 @@ type Result<T> = std::result::Result<T, ScenarioImportError>;
 
 /// Interval of the samples of curved transitions, in seconds.
 const SAMPLE_S: f64 = 0.01;
-/// Maximum duration of a transition, in seconds.
+/// Maximum duration of a curved transition, in seconds.
 const MAX_TRANSITION_S: f64 = 3600.0;
 
 /// Course of a transition.
@@ -162,10 +162,11 @@ impl SpeedPlan {
         if duration_s == f64::INFINITY {
             return Ok(duration_s);
         }
-        if duration_s.is_nan() || duration_s > MAX_TRANSITION_S {
+        let is_straight = matches!(dynamics.shape, TransitionShape::Linear | TransitionShape::Step);
+        if duration_s.is_nan() || !is_straight && duration_s > MAX_TRANSITION_S {
             return Err(node.refuse(format!("the change takes longer than {MAX_TRANSITION_S} s")));
         }
-        if !matches!(dynamics.shape, TransitionShape::Linear | TransitionShape::Step) {
+        if !is_straight {
             let samples = (duration_s / SAMPLE_S).ceil();
             for sample in 1..samples as usize {
                 let share = sample as f64 / samples;
