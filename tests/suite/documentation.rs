@@ -39,6 +39,14 @@ fn commands_by_page() -> BTreeMap<String, Vec<String>> {
     found
 }
 
+/// `.ci/run` runs this block in an empty folder.
+#[test]
+fn the_readme_begins_with_two_commands_in_a_clone() {
+    let commands = &commands_by_page()["README.md"];
+    let clone = "git clone https://github.com/crumple-rs/crumple && cd crumple";
+    assert_eq!(commands[..3], [clone, "cargo run --release -- assess", "cargo test"]);
+}
+
 #[test]
 fn every_variable_of_a_command_is_set_on_its_page() {
     for (page, commands) in commands_by_page() {
