@@ -47,6 +47,24 @@ fn the_readme_begins_with_two_commands_in_a_clone() {
     assert_eq!(commands[..3], [clone, "cargo run --release -- assess", "cargo test"]);
 }
 
+/// Figures of FalCAuN_ARCH2026_summary.csv (commit 3b47594), and times between the changes of zlscheck's inputs.
+#[test]
+fn the_comparison_has_the_published_figures() {
+    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/comparison.md")).unwrap();
+    let words = page.split_whitespace().collect::<Vec<_>>().join(" ");
+    for (specification, simulations) in [("AT1", 448), ("AT2", 128), ("AT6a", 501), ("AT6c", 449), ("AT6abc", 616)] {
+        let row = page.lines().find(|line| line.starts_with(&format!("| {specification} |"))).unwrap();
+        assert!(row.ends_with(&format!(" | {simulations} |")), "{row}");
+    }
+    for stated in [
+        "CC1 198, CC2 38, CC3 61, CC4 474 (all ten)",
+        "All figures of 2026 on this page but that of CC4 are half of those of 2024",
+        "zlscheck of 0.5 s (AT1, AT51 to AT54), 2.5 s (AT2), 5 s (AT6a), 10 s (AT6b) and 15 s (AT6c)",
+    ] {
+        assert!(words.contains(stated), "{stated}");
+    }
+}
+
 #[test]
 fn every_variable_of_a_command_is_set_on_its_page() {
     for (page, commands) in commands_by_page() {
