@@ -65,6 +65,63 @@ fn the_comparison_has_the_published_figures() {
     }
 }
 
+/// Returns the modules that the table in the documentation of a `lib.rs` lists, in their order.
+fn listed_modules(documented: &str) -> Vec<&str> {
+    let rows = documented.lines().filter_map(|line| line.strip_prefix("//! | "));
+    let names = rows.filter_map(|row| row.split(" | ").next()).map(|name| name.trim_matches(['[', ']', '`']));
+    names.filter(|name| *name != "module" && name.chars().all(|c| c.is_ascii_lowercase() || c == '_')).collect()
+}
+
+/// Returns the modules of the crate that the code of a file names, without its tests.
+fn used_modules(source: &str) -> Vec<&str> {
+    let code = source.split("#[cfg(test)]\nmod tests {").next().unwrap();
+    let lines = code.lines().filter(|line| !line.trim_start().starts_with("//"));
+    let after = lines.flat_map(|line| line.split("crate::").skip(1));
+    after.map(|rest| rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap()).collect()
+}
+
+#[test]
+fn modules_use_only_those_listed_above_them() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("crates");
+    let mut compared = 0;
+    for name in ["core", "store", "world", "search", "learn", "report"] {
+        let source = root.join(name).join("src");
+        let documented = fs::read_to_string(source.join("lib.rs")).unwrap();
+        let modules = listed_modules(&documented);
+        for (position, module) in modules.iter().enumerate() {
+            let files = [source.join(format!("{module}.rs"))].into_iter().chain(files_below(source.join(module)));
+            let is_code = |file: &PathBuf| file.is_file() && file.extension().is_some_and(|end| end == "rs");
+            let is_test = |file: &PathBuf| file.strip_prefix(&source).unwrap().to_str().unwrap().contains("test");
+            for file in files.filter(|file| is_code(file) && !is_test(file)) {
+                let code = fs::read_to_string(&file).unwrap();
+                let later = used_modules(&code).into_iter().find(|used| modules[position + 1..].contains(used));
+                assert_eq!(later, None, "{}: {module} is listed above it", file.display());
+                compared += 1;
+            }
+        }
+    }
+    assert!(compared > 200, "{compared} files");
+}
+
+/// Pages that a help names exist, with the term that the help looks up there.
+#[test]
+fn pages_that_a_help_names_explain_it() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    for file in files_below(root.join("src/cli")) {
+        let Ok(source) = fs::read_to_string(&file) else { continue };
+        for rest in source.split("docs/").skip(1) {
+            let Some(name) = rest.split_once(".md").map(|(name, _)| name) else { continue };
+            if !name.is_empty() && name.chars().all(|c| c.is_ascii_lowercase() || c == '-') {
+                assert!(root.join(format!("docs/{name}.md")).is_file(), "{}: docs/{name}.md", file.display());
+            }
+        }
+    }
+    let replay = fs::read_to_string(root.join("src/cli/replay.rs")).unwrap();
+    let glossary = fs::read_to_string(root.join("docs/glossary.md")).unwrap();
+    assert!(replay.contains("(docs/glossary.md): more than 2 m/s²"));
+    assert!(glossary.lines().any(|line| line.starts_with("| unnecessary braking |") && line.contains("2 m/s² harder")));
+}
+
 #[test]
 fn every_variable_of_a_command_is_set_on_its_page() {
     for (page, commands) in commands_by_page() {

@@ -322,6 +322,20 @@ fn list_names_all_inputs_of_simulate() {
     }
 }
 
+#[test]
+fn the_help_of_assess_names_the_controllers_and_gates_of_this_version() {
+    let help = run_crumple(temp_folder().path(), "assess --help");
+    let words = stdout(&help).split_whitespace().collect::<Vec<_>>().join(" ");
+    let compared = crumple_report::assessment::AssessConfig::default().controllers.join(", ");
+    assert_contains(&words, &[&format!("`assess` compares {compared}. It simulates")]);
+    let schema = include_str!("../../../crates/report/src/assessment/configuration.schema.json");
+    let constants = schema.split("\"const\": \"").skip(1).filter_map(|rest| rest.split('"').next());
+    // The others are the names of estimators.
+    let gates: Vec<&str> = constants.filter(|name| name.contains('-')).collect();
+    assert!(gates.len() >= 12, "{gates:?}");
+    assert_contains(&words, &gates);
+}
+
 /// No line of the configuration in the help of `assess` is wrapped.
 #[test]
 fn the_help_of_assess_has_an_example_in_toml() {
