@@ -122,6 +122,21 @@ fn pages_that_a_help_names_explain_it() {
     assert!(glossary.lines().any(|line| line.starts_with("| unnecessary braking |") && line.contains("2 m/s² harder")));
 }
 
+/// `.ci/nightly` trains every committed policy again, and runs every fuzz target that has seeds.
+#[test]
+fn tier_3_has_a_part_for_each_policy_and_fuzz_target() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let script = fs::read_to_string(root.join(".ci/nightly")).unwrap();
+    for policy in files_below(root.join("corpora/policy")) {
+        if policy.extension().is_some_and(|extension| extension == "safetensors") {
+            let name = policy.file_stem().unwrap().to_str().unwrap();
+            assert!(script.contains(&format!("    \"{name}\": (\"")), "no training of {name}");
+        }
+    }
+    assert!(script.contains("(ROOT / \"corpora/fuzz\").glob(\"*/\")"));
+    assert!(!script.contains(env!("CARGO_PKG_VERSION")), "the version is that of the policies");
+}
+
 #[test]
 fn every_variable_of_a_command_is_set_on_its_page() {
     for (page, commands) in commands_by_page() {
