@@ -47,24 +47,6 @@ fn the_readme_begins_with_two_commands_in_a_clone() {
     assert_eq!(commands[..3], [clone, "cargo run --release -- assess", "cargo test"]);
 }
 
-/// Figures of FalCAuN_ARCH2026_summary.csv (commit 3b47594), and times between the changes of zlscheck's inputs.
-#[test]
-fn the_comparison_has_the_published_figures() {
-    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/comparison.md")).unwrap();
-    let words = page.split_whitespace().collect::<Vec<_>>().join(" ");
-    for (specification, simulations) in [("AT1", 448), ("AT2", 128), ("AT6a", 501), ("AT6c", 449), ("AT6abc", 616)] {
-        let row = page.lines().find(|line| line.starts_with(&format!("| {specification} |"))).unwrap();
-        assert!(row.ends_with(&format!(" | {simulations} |")), "{row}");
-    }
-    for stated in [
-        "CC1 198, CC2 38, CC3 61, CC4 474 (all ten)",
-        "All figures of 2026 on this page but that of CC4 are half of those of 2024",
-        "zlscheck of 0.5 s (AT1, AT51 to AT54), 2.5 s (AT2), 5 s (AT6a), 10 s (AT6b) and 15 s (AT6c)",
-    ] {
-        assert!(words.contains(stated), "{stated}");
-    }
-}
-
 /// Returns the modules that the table in the documentation of a `lib.rs` lists, in their order.
 fn listed_modules(documented: &str) -> Vec<&str> {
     let rows = documented.lines().filter_map(|line| line.strip_prefix("//! | "));
@@ -120,6 +102,48 @@ fn pages_that_a_help_names_explain_it() {
     let glossary = fs::read_to_string(root.join("docs/glossary.md")).unwrap();
     assert!(replay.contains("(docs/glossary.md): more than 2 m/s²"));
     assert!(glossary.lines().any(|line| line.starts_with("| unnecessary braking |") && line.contains("2 m/s² harder")));
+}
+
+/// Figures of FalCAuN_ARCH2026_summary.csv (commit 3b47594), and times between the changes of zlscheck's inputs.
+#[test]
+fn the_comparison_has_the_published_figures() {
+    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/comparison.md")).unwrap();
+    let words = page.split_whitespace().collect::<Vec<_>>().join(" ");
+    for (specification, simulations) in [("AT1", 448), ("AT2", 128), ("AT6a", 501), ("AT6c", 449), ("AT6abc", 616)] {
+        let row = page.lines().find(|line| line.starts_with(&format!("| {specification} |"))).unwrap();
+        assert!(row.ends_with(&format!(" | {simulations} |")), "{row}");
+    }
+    for stated in [
+        "CC1 198, CC2 38, CC3 61, CC4 474 (all ten)",
+        "All figures of 2026 on this page but that of CC4 are half of those of 2024",
+        "zlscheck of 0.5 s (AT1, AT51 to AT54), 2.5 s (AT2), 5 s (AT6a), 10 s (AT6b) and 15 s (AT6c)",
+    ] {
+        assert!(words.contains(stated), "{stated}");
+    }
+}
+
+/// Claims that recorded roads and human followers refute (`reports/driver.md`).
+#[test]
+fn claims_about_drivers_name_their_space_and_follower() {
+    let read = |page: &str| {
+        let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(page)).unwrap();
+        text.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    for (page, stated) in [
+        ("README.md", "In the space `traffic` both are as comfortable as `idm`"),
+        ("README.md", "of `high-risk`, in %; followers drive `baseline`"),
+        ("docs/limits.md", "In `paper` and `high-risk` the follower drives `baseline`"),
+        ("docs/commands.md", "In `paper` and `high-risk`, followers drive `baseline`"),
+        ("reports/driver.md", "The follower drives `baseline` in `paper` and `high-risk`"),
+        ("reports/driver.md", "| collisions in 6000 random scenarios of `high-risk-human`, % | 23.1 | 27.3 | 24.6 |"),
+        ("reports/retraining.md", "In `high-risk` the follower drives `baseline`"),
+        ("reports/plants-and-sensors.md", "The follower drives `baseline`."),
+    ] {
+        assert!(read(page).contains(stated), "{page}: {stated}");
+    }
+    let study = read("reports/aeb-behind.md");
+    let begin = "# Emergency braking and rear-end collisions **Withdrawn: the summary and the findings 1 to 3.**";
+    assert!(study.starts_with(begin) || !study.contains("no brake, brakes after impact"), "{begin}");
 }
 
 /// `.ci/nightly` trains every committed policy again, and runs every fuzz target that has seeds.
