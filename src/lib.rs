@@ -15,13 +15,13 @@
 //!
 //! ## Map
 //!
-//! Crates depend downwards only. Each has its own map.
+//! `docs/architecture.md` states which crate may use which others.
 //!
 //! | crate | contents |
 //! |---|---|
 //! | [`core`] | digests, rounded numbers, quoted text, progress |
 //! | [`store`] | run folders: atomic files, manifests |
-//! | [`world`] | scenarios, drivers, estimators, two equivalent simulation engines, measures |
+//! | [`world`] | scenarios, drivers, estimators, engines with identical results, measures |
 //! | [`exchange`] | scenarios from recordings and from OpenSCENARIO |
 //! | [`search`] | worst cases, falsification |
 //! | [`evidence`] | failure rates and claims with certificates, scenario spaces fitted to recordings |
@@ -40,7 +40,7 @@
 //! let baseline = ControllerSpec::from_name("baseline").ok_or("not built in")?;
 //! let run = Run::new(&scenario, RunOptions::new(baseline))?;
 //! let result = simulate(&run, RecordingLevel::Summary);
-//! // The baseline avoids the vehicle ahead and is hit from behind.
+//! // The baseline avoids the vehicle ahead and is hit from behind, by a lorry that drives `baseline`, too.
 //! assert!(matches!(result.outcome, Outcome::Collision(contact) if contact.rear_vehicle == 2));
 //! # Ok(())
 //! # }

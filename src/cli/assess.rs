@@ -11,19 +11,15 @@ use super::output_folder::{EarlierFiles, OutputFolder};
 use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, progress, utc};
 use crumple_report::assessment::{
-    AssessmentPlan, EarlierAssessment, EvidenceCache, REPORT_FOLDERS, REPORT_KIND, RunInfo, assess,
+    AssessConfig, AssessmentPlan, EarlierAssessment, EvidenceCache, REPORT_FOLDERS, REPORT_KIND, RunInfo, assess,
 };
 use crumple_store::disk::DiskError;
 use crumple_store::program;
 use crumple_store::run_folder;
 
-/// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
-#[derive(Args)]
-#[command(after_long_help = "\
-Without a file, `assess` evaluates baseline, baseline-unlatched, match-leader, constant-brake, idm, acc-aeb, policy, \
-shield:policy and retrained. It simulates the paper's scenarios and 1000 random scenarios of the paper's \
-distribution, and searches for failures. For each scenario it finds the best escape (see avoid), and it checks all \
-certificates. A file configures more:
+/// Rest of the long help, after the sentences about the built-in report.
+const CONFIGURATION: &str = "\
+A file configures more:
 
   version = 1
   controllers = [\"baseline\", \"policy\"]   # the first is compared with all others
@@ -65,7 +61,21 @@ The folder `evidence` of the report caches evidence by the hash of all its input
 changed is computed again, and an interrupted assessment resumes. Each file contains hashes of the program, of its \
 inputs and of itself; crumple computes evidence again if its file was truncated, edited or replaced. The hashes do \
 not protect against a person who changes numbers and hashes together: do not reuse a folder that others can write \
-to, or use --fresh, which ignores existing evidence. Every run checks all certificates, cached or not.")]
+to, or use --fresh, which ignores existing evidence. Every run checks all certificates, cached or not.";
+
+/// Returns the long help.
+fn long_help() -> String {
+    let compared = AssessConfig::default().controllers.join(", ");
+    format!(
+        "Without a file, `assess` compares {compared}. It simulates the paper's scenarios, 1000 random scenarios of \
+         the paper's distribution and 200 each of `traffic` and `high-risk`, and searches for failures. For each \
+         scenario it finds the best escape (see avoid), and it checks all certificates. {CONFIGURATION}"
+    )
+}
+
+/// Compare controllers and write the report: HTML, Markdown, JSON, JUnit and GSN
+#[derive(Args)]
+#[command(after_long_help = long_help())]
 pub(super) struct Assess {
     /// Configuration of the assessment; built-in defaults without it
     #[arg(value_name = "FILE.toml")]

@@ -4,7 +4,8 @@ use serde::Serialize;
 
 use super::CliError;
 use crumple_exchange::recording::{READS_MDF, READS_PARQUET};
-use crumple_report::draw::Svg;
+use crumple_report::draw::{PNG_SCALE, Svg, WRITES_PNG};
+use crumple_report::export::{WRITES_PARQUET, to_parquet};
 use crumple_world::sim::Trace;
 
 #[derive(Serialize)]
@@ -16,19 +17,18 @@ pub(super) struct Feature {
 
 pub(super) const EXPLORE: Feature =
     Feature { name: "explore", used_for: "`crumple explore`", enabled: cfg!(feature = "explore") };
+// The library's crates decide: another package of the same build may enable their features without those of this one.
 pub(super) const PARQUET: Feature = Feature {
     name: "parquet",
-    // Another package of the workspace may enable the recordings only.
-    used_for: if READS_PARQUET && !cfg!(feature = "parquet") {
-        "traces in Parquet"
-    } else {
-        "traces and recordings in Parquet"
+    used_for: match (READS_PARQUET, WRITES_PARQUET) {
+        (true, false) => "traces in Parquet",
+        (false, true) => "recordings in Parquet",
+        _ => "traces and recordings in Parquet",
     },
-    enabled: cfg!(feature = "parquet"),
+    enabled: READS_PARQUET && WRITES_PARQUET,
 };
 pub(super) const MDF: Feature = Feature { name: "mdf", used_for: "recordings in ASAM MDF 4", enabled: READS_MDF };
-pub(super) const PNG: Feature =
-    Feature { name: "png", used_for: "figures as PNG files", enabled: cfg!(feature = "png") };
+pub(super) const PNG: Feature = Feature { name: "png", used_for: "figures as PNG files", enabled: WRITES_PNG };
 
 pub(super) const FEATURES: [Feature; 4] = [EXPLORE, MDF, PARQUET, PNG];
 
@@ -60,7 +60,7 @@ impl Feature {
 /// Returns the text of [`Feature::require`] for a feature that this build lacks.
 pub(super) fn require_format(extension: &str) -> Result<(), String> {
     match extension {
-        "parquet" => PARQUET.require(),
+        "parquet" if !WRITES_PARQUET => PARQUET.require(),
         "png" => PNG.require(),
         _ => Ok(()),
     }
@@ -70,26 +70,37 @@ pub(super) fn require_format(extension: &str) -> Result<(), String> {
 ///
 /// # Errors
 /// [`CliError::Input`] if the figure cannot be rendered, or this build lacks the feature `png`.
-#[cfg(feature = "png")]
 pub(super) fn render_png(figure: &Svg) -> Result<Vec<u8>, CliError> {
-    figure.to_png(crumple_report::draw::PNG_SCALE).map_err(CliError::input)
-}
-
-#[cfg(not(feature = "png"))]
-pub(super) fn render_png(_: &Svg) -> Result<Vec<u8>, CliError> {
-    PNG.require().map_err(CliError::Input).map(|()| Vec::new())
+    PNG.require().map_err(CliError::Input)?;
+    figure.to_png(PNG_SCALE).map_err(CliError::input)
 }
 
 /// Encodes a trace as Parquet.
 ///
 /// # Errors
 /// [`CliError::Input`] if the trace cannot be encoded, or this build lacks the feature `parquet`.
-#[cfg(feature = "parquet")]
 pub(super) fn encode_parquet(trace: &Trace) -> Result<Vec<u8>, CliError> {
-    crumple_report::export::to_parquet(trace).map_err(CliError::input)
+    require_format("parquet").map_err(CliError::Input)?;
+    to_parquet(trace).map_err(CliError::input)
 }
 
-#[cfg(not(feature = "parquet"))]
-pub(super) fn encode_parquet(_: &Trace) -> Result<Vec<u8>, CliError> {
-    PARQUET.require().map_err(CliError::Input).map(|()| Vec::new())
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// The tests' build has all features, so that only this test sees a refusal; `.ci/run` tries the optimised program.
+    #[test]
+    fn a_missing_feature_is_named_with_the_command_that_enables_it() {
+        let missing = Feature { name: "png", used_for: "figures as PNG files", enabled: false };
+        let refusal = missing.require().unwrap_err();
+        assert!(refusal.contains("`png`") && refusal.contains("--features png"), "{refusal}");
+        assert!(Feature { enabled: true, ..missing }.require().is_ok());
+    }
+
+    #[test]
+    fn the_program_has_the_features_of_its_library() {
+        let enabled = FEATURES.map(|feature| (feature.name, feature.enabled));
+        let expected = [READS_MDF, READS_PARQUET && WRITES_PARQUET, WRITES_PNG];
+        assert_eq!(enabled[1..], [("mdf", expected[0]), ("parquet", expected[1]), ("png", expected[2])]);
+    }
 }

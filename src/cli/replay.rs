@@ -27,9 +27,10 @@ const MAX_LISTED: usize = 20;
 Reads the same recordings as `crumple import`. The controller replaces each vehicle with a recorded leader. It \
 observes the recorded gaps, speeds and accelerations, and its commands change nothing. Each braking that it would \
 have begun is listed beside the driver's hardest braking until one second later. Braking is unnecessary as in \
-assessments (docs/limits.md): more than 2 m/s² beyond the deceleration that the vehicle ahead justifies. Rates have \
+assessments (docs/glossary.md): more than 2 m/s² beyond the deceleration that the vehicle ahead justifies. Rates have \
 exact 95 % intervals of Poisson counts, which assume that unnecessary brakings are independent. Braking that would \
-have prevented a situation does not show, because the recorded driver keeps the distance.
+have prevented a situation does not show, because the recorded driver keeps the distance. A controller that would keep \
+another distance can brake unnecessarily here and not where it drives itself.
 
 Examples:
   crumple replay platoon.csv --controller acc-aeb

@@ -28,7 +28,7 @@ Presets:
   fast       solves the paper's task within about a minute per seed (default)
   paper-net  the paper's networks and reward with corrections: reaches the paper's reward, but does not keep it
   paper      the paper's exact settings: takes many hours, and does not reach the paper's reward
-  road       safe in emergencies and useful in traffic: imitates the controller `predictive` in all built-in spaces
+  road       imitates the controller `predictive` in all built-in spaces
 
 The algorithm is DDPG, or TD3 if a preset says so (Fujimoto, van Hoof and Meger 2018): in `[td3]`, `twin_critic = \
 true` uses the minimum of two critics, `actor_every = 2` updates the actor every second time, and `target_noise = \

@@ -39,6 +39,128 @@ fn commands_by_page() -> BTreeMap<String, Vec<String>> {
     found
 }
 
+/// `.ci/run` runs this block in an empty folder.
+#[test]
+fn the_readme_begins_with_two_commands_in_a_clone() {
+    let commands = &commands_by_page()["README.md"];
+    let clone = "git clone https://github.com/crumple-rs/crumple && cd crumple";
+    assert_eq!(commands[..3], [clone, "cargo run --release -- assess", "cargo test"]);
+}
+
+/// Returns the modules that the table in the documentation of a `lib.rs` lists, in their order.
+fn listed_modules(documented: &str) -> Vec<&str> {
+    let rows = documented.lines().filter_map(|line| line.strip_prefix("//! | "));
+    let names = rows.filter_map(|row| row.split(" | ").next()).map(|name| name.trim_matches(['[', ']', '`']));
+    names.filter(|name| *name != "module" && name.chars().all(|c| c.is_ascii_lowercase() || c == '_')).collect()
+}
+
+/// Returns the modules of the crate that the code of a file names, without its tests.
+fn used_modules(source: &str) -> Vec<&str> {
+    let code = source.split("#[cfg(test)]\nmod tests {").next().unwrap();
+    let lines = code.lines().filter(|line| !line.trim_start().starts_with("//"));
+    let after = lines.flat_map(|line| line.split("crate::").skip(1));
+    after.map(|rest| rest.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap()).collect()
+}
+
+#[test]
+fn modules_use_only_those_listed_above_them() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("crates");
+    let mut compared = 0;
+    for name in ["core", "store", "world", "search", "learn", "report"] {
+        let source = root.join(name).join("src");
+        let documented = fs::read_to_string(source.join("lib.rs")).unwrap();
+        let modules = listed_modules(&documented);
+        for (position, module) in modules.iter().enumerate() {
+            let files = [source.join(format!("{module}.rs"))].into_iter().chain(files_below(source.join(module)));
+            let is_code = |file: &PathBuf| file.is_file() && file.extension().is_some_and(|end| end == "rs");
+            let is_test = |file: &PathBuf| file.strip_prefix(&source).unwrap().to_str().unwrap().contains("test");
+            for file in files.filter(|file| is_code(file) && !is_test(file)) {
+                let code = fs::read_to_string(&file).unwrap();
+                let later = used_modules(&code).into_iter().find(|used| modules[position + 1..].contains(used));
+                assert_eq!(later, None, "{}: {module} is listed above it", file.display());
+                compared += 1;
+            }
+        }
+    }
+    assert!(compared > 200, "{compared} files");
+}
+
+/// Pages that a help names exist, with the term that the help looks up there.
+#[test]
+fn pages_that_a_help_names_explain_it() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    for file in files_below(root.join("src/cli")) {
+        let Ok(source) = fs::read_to_string(&file) else { continue };
+        for rest in source.split("docs/").skip(1) {
+            let Some(name) = rest.split_once(".md").map(|(name, _)| name) else { continue };
+            if !name.is_empty() && name.chars().all(|c| c.is_ascii_lowercase() || c == '-') {
+                assert!(root.join(format!("docs/{name}.md")).is_file(), "{}: docs/{name}.md", file.display());
+            }
+        }
+    }
+    let replay = fs::read_to_string(root.join("src/cli/replay.rs")).unwrap();
+    let glossary = fs::read_to_string(root.join("docs/glossary.md")).unwrap();
+    assert!(replay.contains("(docs/glossary.md): more than 2 m/s²"));
+    assert!(glossary.lines().any(|line| line.starts_with("| unnecessary braking |") && line.contains("2 m/s² harder")));
+}
+
+/// Figures of FalCAuN_ARCH2026_summary.csv (commit 3b47594), and times between the changes of zlscheck's inputs.
+#[test]
+fn the_comparison_has_the_published_figures() {
+    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("docs/comparison.md")).unwrap();
+    let words = page.split_whitespace().collect::<Vec<_>>().join(" ");
+    for (specification, simulations) in [("AT1", 448), ("AT2", 128), ("AT6a", 501), ("AT6c", 449), ("AT6abc", 616)] {
+        let row = page.lines().find(|line| line.starts_with(&format!("| {specification} |"))).unwrap();
+        assert!(row.ends_with(&format!(" | {simulations} |")), "{row}");
+    }
+    for stated in [
+        "CC1 198, CC2 38, CC3 61, CC4 474 (all ten)",
+        "All figures of 2026 on this page but that of CC4 are half of those of 2024",
+        "zlscheck of 0.5 s (AT1, AT51 to AT54), 2.5 s (AT2), 5 s (AT6a), 10 s (AT6b) and 15 s (AT6c)",
+    ] {
+        assert!(words.contains(stated), "{stated}");
+    }
+}
+
+/// Claims that recorded roads and human followers refute (`reports/driver.md`).
+#[test]
+fn claims_about_drivers_name_their_space_and_follower() {
+    let read = |page: &str| {
+        let text = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join(page)).unwrap();
+        text.split_whitespace().collect::<Vec<_>>().join(" ")
+    };
+    for (page, stated) in [
+        ("README.md", "In the space `traffic` both are as comfortable as `idm`"),
+        ("README.md", "of `high-risk`, in %; followers drive `baseline`"),
+        ("docs/limits.md", "In `paper` and `high-risk` the follower drives `baseline`"),
+        ("docs/commands.md", "In `paper` and `high-risk`, followers drive `baseline`"),
+        ("reports/driver.md", "The follower drives `baseline` in `paper` and `high-risk`"),
+        ("reports/driver.md", "| collisions in 6000 random scenarios of `high-risk-human`, % | 23.1 | 27.3 | 24.6 |"),
+        ("reports/retraining.md", "In `high-risk` the follower drives `baseline`"),
+        ("reports/plants-and-sensors.md", "The follower drives `baseline`."),
+    ] {
+        assert!(read(page).contains(stated), "{page}: {stated}");
+    }
+    let study = read("reports/aeb-behind.md");
+    let begin = "# Emergency braking and rear-end collisions **Withdrawn: the summary and the findings 1 to 3.**";
+    assert!(study.starts_with(begin) || !study.contains("no brake, brakes after impact"), "{begin}");
+}
+
+/// `.ci/nightly` trains every committed policy again, and runs every fuzz target that has seeds.
+#[test]
+fn tier_3_has_a_part_for_each_policy_and_fuzz_target() {
+    let root = Path::new(env!("CARGO_MANIFEST_DIR"));
+    let script = fs::read_to_string(root.join(".ci/nightly")).unwrap();
+    for policy in files_below(root.join("corpora/policy")) {
+        if policy.extension().is_some_and(|extension| extension == "safetensors") {
+            let name = policy.file_stem().unwrap().to_str().unwrap();
+            assert!(script.contains(&format!("    \"{name}\": (\"")), "no training of {name}");
+        }
+    }
+    assert!(script.contains("(ROOT / \"corpora/fuzz\").glob(\"*/\")"));
+    assert!(!script.contains(env!("CARGO_PKG_VERSION")), "the version is that of the policies");
+}
+
 #[test]
 fn every_variable_of_a_command_is_set_on_its_page() {
     for (page, commands) in commands_by_page() {

@@ -1,4 +1,4 @@
-//! Simulation of longitudinal traffic: scenarios, controllers, two engines with identical results, and measures.
+//! Simulation of longitudinal traffic: scenarios, controllers, engines with identical results, and measures.
 //!
 //! Each module uses only modules above it:
 //!
@@ -15,7 +15,7 @@
 //! | [`control`] | controllers: one trait, one table, one file each |
 //! | [`scenario`] | scenarios: vehicles, lead profiles, the file format, the paper's scenarios |
 //! | [`estimate`] | sensors and the Kalman filter |
-//! | [`sim`] | exact steps, collision times, two engines with identical results, the trace |
+//! | [`sim`] | exact steps, collision times, three step loops with identical results, the trace |
 //! | [`measure`] | surrogate safety measures; signal temporal logic and its monitor |
 
 pub mod control;

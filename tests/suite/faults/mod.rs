@@ -102,11 +102,14 @@ fn build_shim(folder: &Path) -> PathBuf {
     library
 }
 
-/// Selects the calls to try: all, or some spread over them.
+/// Selects the calls to try: `FAULTS` is a number of calls, which are spread over all, or `PART/PARTS` of all.
 fn selected_calls(calls: usize, salt: usize) -> Vec<usize> {
     let number = |name| std::env::var(name).ok().and_then(|number| number.parse::<usize>().ok());
-    if std::env::var("FAULTS").is_ok_and(|wanted| wanted == "all") {
-        return (1..=calls).collect();
+    if let Some((part, parts)) = std::env::var("FAULTS").unwrap_or_default().split_once('/') {
+        let [part, parts] = [part, parts].map(|number| number.parse::<usize>().expect("FAULTS is PART/PARTS"));
+        let part = (1..=calls).filter(|call| call % parts == part % parts).collect::<Vec<_>>();
+        println!("{} of {calls} calls", part.len());
+        return part;
     }
     let wanted = number("FAULTS").unwrap_or(DEFAULT_TRIED_CALLS).min(calls);
     let from = number("FAULTS_SEED").unwrap_or_default().wrapping_add(salt).wrapping_mul(7919);

@@ -18,6 +18,7 @@ mod panel;
 mod path;
 #[cfg(feature = "png")]
 mod png;
+mod png_error;
 mod robustness;
 mod scale;
 mod theme;
@@ -33,8 +34,7 @@ pub(crate) use motion::{draw_motion_columns, draw_motions_side_by_side};
 pub use motion_axes::MotionAxes;
 pub use panel::{Anchor, HEADING_HEIGHT, Marker, Panel, draw_text};
 pub(crate) use path::PixelPoint;
-#[cfg(feature = "png")]
-pub use png::DrawError;
+pub use png_error::DrawError;
 pub use robustness::add_robustness;
 pub use scale::{extent, format_number, pad_interval};
 pub use theme::{Ink, SMALL_TEXT_SIZE, STYLE, Stroke};
@@ -43,6 +43,9 @@ pub use vehicle_names::vehicle_names;
 use crumple_core::quoting::TerminalLines;
 pub(crate) use label::strip_unprintable;
 use path::Px;
+
+/// True if this build draws PNG.
+pub const WRITES_PNG: bool = cfg!(feature = "png");
 
 /// Pixels of a PNG per unit of the figure; a wide figure has 300 dots per inch at 16 cm.
 pub const PNG_SCALE: f64 = 2.0;
@@ -109,11 +112,20 @@ impl Svg {
     /// Returns the figure as a PNG file on a white background, `scale` pixels per unit, usually [`PNG_SCALE`].
     ///
     /// # Errors
-    /// [`DrawError::Size`] if `scale` makes the picture empty or larger than 268 million pixels; the other variants are
-    /// faults of this library.
+    /// [`DrawError::NeedsPng`] if this build lacks the feature `png` ([`WRITES_PNG`]); [`DrawError::Size`] if `scale`
+    /// makes the picture empty or larger than 268 million pixels; the other variants are faults of this library.
     #[cfg(feature = "png")]
     pub fn to_png(&self, scale: f64) -> Result<Vec<u8>, DrawError> {
         png::encode(&self.document(), scale)
+    }
+
+    /// Refuses: this build lacks the feature `png`.
+    ///
+    /// # Errors
+    /// [`DrawError::NeedsPng`].
+    #[cfg(not(feature = "png"))]
+    pub fn to_png(&self, _: f64) -> Result<Vec<u8>, DrawError> {
+        Err(DrawError::NeedsPng)
     }
 
     fn element(&self, alone: bool) -> Markup {

@@ -4,30 +4,8 @@ use std::sync::{Arc, OnceLock};
 
 use resvg::{tiny_skia, usvg};
 
+use super::png_error::{DrawError, MAX_PIXELS};
 use super::theme::Ink;
-
-/// Maximum number of pixels of a picture: 16 384 squared.
-const MAX_PIXELS: f64 = 268_435_456.0;
-
-/// An error of drawing a PNG.
-#[derive(Debug, thiserror::Error)]
-#[non_exhaustive]
-pub enum DrawError {
-    /// The SVG could not be read back.
-    #[error("the figure is not valid SVG: {0}")]
-    Svg(#[from] usvg::Error),
-    /// The picture would be empty or too large.
-    #[error("the picture has {width} by {height} pixels; use 1 to {limit} pixels", limit = MAX_PIXELS)]
-    Size {
-        /// Width in pixels.
-        width: f64,
-        /// Height in pixels.
-        height: f64,
-    },
-    /// The pixels could not be compressed.
-    #[error("cannot encode the picture as PNG: {0}")]
-    Encode(String),
-}
 
 /// Renders `svg` as a PNG, `scale` pixels per unit.
 pub(super) fn encode(svg: &str, scale: f64) -> Result<Vec<u8>, DrawError> {

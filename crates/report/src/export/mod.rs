@@ -13,6 +13,9 @@ use crumple_world::sim::Trace;
 #[cfg(feature = "parquet")]
 pub use columnar::to_parquet;
 
+/// True if this build writes Parquet.
+pub const WRITES_PARQUET: bool = cfg!(feature = "parquet");
+
 const COLUMNS: [&str; 6] = ["time_s", "vehicle", "position_m", "speed_mps", "acceleration_mps2", "gap_m"];
 
 /// An error of encoding a table.
@@ -26,6 +29,9 @@ pub enum ExportError {
     #[cfg(feature = "parquet")]
     #[error("cannot encode the trace as Parquet: {0}")]
     Parquet(#[from] ::parquet::errors::ParquetError),
+    /// This build writes no Parquet ([`WRITES_PARQUET`]).
+    #[error("traces in Parquet need a build with the feature `parquet`")]
+    NeedsParquet,
 }
 
 struct TraceRow {
@@ -70,6 +76,15 @@ pub fn to_csv(trace: &Trace) -> Result<Vec<u8>, ExportError> {
         writer.write_record([row.time_s.to_string(), row.vehicle.to_string(), position, speed, acceleration, gap])?;
     }
     writer.into_inner().map_err(|error| ExportError::Csv(error.into_error().into()))
+}
+
+/// Encodes the trace as a Parquet file.
+///
+/// # Errors
+/// [`ExportError::NeedsParquet`], because this build lacks the feature `parquet`.
+#[cfg(not(feature = "parquet"))]
+pub fn to_parquet(_: &Trace) -> Result<Vec<u8>, ExportError> {
+    Err(ExportError::NeedsParquet)
 }
 
 #[cfg(all(test, feature = "parquet"))]

@@ -52,7 +52,7 @@ macro_rules! with_controllers {
                 Policy(ReferencePolicy),
                 /// The committed policy that was retrained in the space `high-risk`.
                 Retrained(RetrainedPolicy),
-                /// The committed policy for real traffic.
+                /// The committed policy that imitates `predictive`.
                 Road(RoadPolicy),
             }
         }

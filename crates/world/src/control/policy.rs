@@ -96,8 +96,8 @@ macro_rules! committed_policy {
 }
 
 committed_policy! {
-    /// The committed policy for real traffic.
-    RoadPolicy, "road", Policy::road, "policy for real traffic that imitates `predictive` (preset road)"
+    /// The committed policy that imitates `predictive`.
+    RoadPolicy, "road", Policy::road, "policy that imitates `predictive` in the built-in spaces (preset road)"
 }
 committed_policy! {
     /// The committed reference policy.

@@ -4,17 +4,9 @@ use std::sync::Arc;
 
 use super::gap_faults::GapFaults;
 use super::{Accelerometer, DistanceEstimate, Filter, KnownChange, Sensor, Tuning};
-use crate::observation::{Neighbour, Observation};
+use crate::observation::{BANDWIDTH_RAD_PER_S, Neighbour, Observation};
 use crate::random::{NoiseShare, NoiseStream, Purpose};
 use crate::scenario::Sensors;
-
-/// Bandwidth of all three filters, in rad/s.
-///
-/// At the default noise, the standard deviations are 0.06 m/s for closing speeds, and 0.07 m/s and 0.29 m/s² for the
-/// speed and acceleration of a neighbour; the filters follow the onset of braking within about 0.3 s. Half the
-/// bandwidth would miss the start of an emergency brake; twice would be too noisy for controllers that read
-/// accelerations.
-pub const BANDWIDTH_RAD_PER_S: f64 = 5.0;
 
 /// Filter constants of an ego vehicle: one set for its position, one for both gaps.
 #[derive(Debug, Clone, PartialEq)]

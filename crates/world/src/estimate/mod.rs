@@ -12,7 +12,8 @@ mod gap_faults;
 mod sensor;
 
 pub use accelerometer::Accelerometer;
-pub use ego::BANDWIDTH_RAD_PER_S;
 pub use ego::{EgoEstimator, EgoTuning, TrueState};
 pub use filter::{DistanceEstimate, Filter, Innovation, KnownChange, Tuning};
 pub use sensor::Sensor;
+
+pub use crate::observation::BANDWIDTH_RAD_PER_S;

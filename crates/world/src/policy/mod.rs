@@ -113,7 +113,7 @@ impl Policy {
         RETRAINED_BYTES
     }
 
-    /// Returns the committed policy for real traffic, trained by the preset `road`.
+    /// Returns the committed policy that imitates `predictive`, trained by the preset `road`.
     #[must_use]
     pub fn road() -> Arc<Self> {
         Arc::clone(&ROAD)

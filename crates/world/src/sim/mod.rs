@@ -1,4 +1,8 @@
-//! Simulation: exact motion, collisions by root finding, and two engines with identical results.
+//! Simulation: exact motion, collisions by root finding, and three step loops with identical results.
+//!
+//! - `stepper` steps one run of any kind.
+//! - `stepper/short_line` keeps a line of two to four vehicles without possible collisions in registers, for training.
+//! - `lockstep/block` steps up to 64 runs of the same shape in SIMD lanes, for [`simulate_batch`].
 
 mod actuator;
 mod lane;

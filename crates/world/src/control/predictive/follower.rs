@@ -3,8 +3,8 @@
 use super::jitter::Jitter;
 use crate::control::baseline::FIRING_TTC_S;
 use crate::control::{AccAeb, AccAebSettings, BuiltIn, Controller, Ego};
-use crate::estimate::BANDWIDTH_RAD_PER_S;
 use crate::idm::{Idm, IdmSettings};
+use crate::observation::BANDWIDTH_RAD_PER_S;
 use crate::observation::{Neighbour, Observation};
 
 /// Estimated time to collision below which the emergency brake has certainly fired, in seconds: lower than

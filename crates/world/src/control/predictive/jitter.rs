@@ -1,6 +1,6 @@
 //! Noise of an estimated acceleration, from its changes between steps.
 
-use crate::estimate::BANDWIDTH_RAD_PER_S;
+use crate::observation::BANDWIDTH_RAD_PER_S;
 
 /// Time over which changes are averaged, in seconds.
 const AVERAGING_S: f64 = 1.0;

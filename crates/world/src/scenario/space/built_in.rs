@@ -12,10 +12,10 @@ pub const BUILT_IN_SPACES: [(&str, &str, &str); 8] = [
     ("paper", "training distribution of the paper: small variations of scenarios 1 and 2", PAPER),
     (
         "high-risk",
-        "whole ranges of speeds, gaps, leader braking, load, friction, reaction time and sensor noise",
+        "whole ranges of speeds, gaps, leader braking, load and friction; baseline drives the follower",
         HIGH_RISK,
     ),
-    ("traffic", "everyday driving without hard braking, to measure the usefulness of a controller", TRAFFIC),
+    ("traffic", "everyday driving without hard braking; idm or acc-aeb drives the follower", TRAFFIC),
     ("standing", "a standing vehicle ahead, 2 to 12 s away at 10 to 130 km/h", STANDING),
     ("slower", "a vehicle ahead at a tenth to nine tenths of the speed, 2 to 12 s away", SLOWER),
     ("alone", "no follower, and a leader that brakes to any fraction of its speed", ALONE),
