@@ -90,7 +90,8 @@ impl RunTotal {
             (self.violated.unwrap_or_default(), "VIOLATED: a specification"),
         ];
         let all = self.scenarios;
-        let mut text = format!("total of {all} scenarios: {}, estimator {estimator}\n", TerminalText(controller));
+        let scenarios = if all == 1 { "scenario" } else { "scenarios" };
+        let mut text = format!("total of {all} {scenarios}: {}, estimator {estimator}\n", TerminalText(controller));
         for (index, (count, what)) in ends.into_iter().enumerate() {
             if count > 0 || index == 0 {
                 // Writing to a string does not fail.
