@@ -1,6 +1,6 @@
 //! Tests of controllers that are processes, with the feature `process`.
 #![cfg(all(unix, feature = "process"))]
-#![expect(clippy::panic, reason = "a test may panic, also in its functions")]
+#![expect(clippy::unwrap_used, reason = "a test may panic, also in its functions")]
 
 use std::path::Path;
 
