@@ -193,11 +193,11 @@ impl Episodes {
         (bounds.low_mps2, bounds.high_mps2)
     }
 
-    /// Begins an episode in every sub-environment of `mask`, from then on with `seeds`, if any.
+    /// Begins an episode in every sub-environment of `mask`, from then on with its seed in `seeds`, if any.
     fn reset(
         &self,
         py: Python<'_>,
-        seeds: Option<Vec<u64>>,
+        seeds: Vec<Option<u64>>,
         mask: PyReadonlyArray1<'_, bool>,
         mut states: PyReadwriteArray2<'_, f32>,
     ) -> PyResult<()> {
@@ -206,12 +206,12 @@ impl Episodes {
         py.detach(|| {
             let mut lanes = self.sub_environments.lock().unwrap_or_else(PoisonError::into_inner);
             let count = lanes.len();
-            check_lengths(&[mask.len(), states.len() / width, seeds.as_ref().map_or(count, Vec::len)], count)?;
+            check_lengths(&[mask.len(), states.len() / width, seeds.len()], count)?;
             let begin = |(index, ((lane, state), chosen)): (usize, ((&mut SubEnvironment, &mut [f32]), &bool))| {
                 if !chosen {
                     return Ok(());
                 }
-                if let Some(seed) = seeds.as_ref().and_then(|seeds| seeds.get(index)) {
+                if let Some(Some(seed)) = seeds.get(index) {
                     (lane.seed, lane.next_index) = (*seed, 0);
                 }
                 lane.reset(&self.task, state)

@@ -3,7 +3,6 @@
 use crumple_core::observer::RunProgress;
 use crumple_search::worst_case::{AttackObjective, AttackReport, Envelope, attack};
 use crumple_world::sim::RunOptions;
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use crate::controller;
@@ -30,7 +29,8 @@ pub(crate) fn worst_case<'py>(
     progress: Option<Py<PyAny>>,
 ) -> PyResult<(Option<PyScenario>, Bound<'py, PyAny>)> {
     if !(1..=MAX_SIMULATIONS).contains(&budget) {
-        return Err(PyValueError::new_err(format!("budget must be 1 to {MAX_SIMULATIONS}, found {budget}")));
+        let problem = format!("budget: must be from 1 to {MAX_SIMULATIONS}, found {budget}");
+        return Err(errors::exception(py, ExceptionClass::Run, &problem));
     }
     let stop = StopFlag::default();
     let controller = controller::resolve_controller(controller, &stop)?;

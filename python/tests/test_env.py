@@ -71,7 +71,7 @@ def test_invalid_actions_are_refused_before_a_step():
             crumple.TrainingError, match=r"actions are 40 numbers, in an array of shape \(40, 1\), found"
         ):
             env.step(wrong)
-    for seed in (-1, 1.5, 2**64 - 20, [1, 2], [None] * 40, np.array([-1] * 40)):
+    for seed in (-1, 1.5, 2**64 - 20, [1, 2], [1.5] * 40, np.array([-1] * 40)):
         with pytest.raises(crumple.TrainingError, match="seed"):
             env.reset(seed=seed)
     for mask in (np.ones(39, bool), np.ones((40, 1), bool), [0, 2] * 20):
@@ -142,6 +142,22 @@ def test_a_controller_that_simulates_is_refused_for_any_number_of_runs():
             assert "a controller cannot begin simulations of its own" in run.failure
 
 
+def test_environments_without_a_seed_continue_their_sequence():
+    together = PlatoonVectorEnv(3, "high-risk")
+    several = SyncVectorEnv([lambda: PlatoonEnv("high-risk")] * 3)
+    for seed in (5, [1, None, 2], None, np.array([None, 7, None]), [None] * 3):
+        assert np.array_equal(several.reset(seed=seed)[0], together.reset(seed=seed)[0]), seed
+    # The first scenario of an environment without a seed is random.
+    first, second = (PlatoonVectorEnv(3, "high-risk").reset(seed=[1, None, 2])[0] for _ in range(2))
+    assert np.array_equal(first[[0, 2]], second[[0, 2]])
+    assert not np.array_equal(first[1], second[1])
+    # Also if only other environments were reset before.
+    first, second = PlatoonVectorEnv(2, "high-risk"), PlatoonVectorEnv(2, "high-risk")
+    for env in (first, second):
+        env.reset(seed=[3, None], options={"reset_mask": np.array([True, False])})
+    assert not np.array_equal(first.reset()[0][1], second.reset()[0][1])
+
+
 def test_a_seed_determines_results_for_any_number_of_threads():
     def drive(count):
         env = PlatoonVectorEnv(count, "high-risk")
@@ -183,7 +199,7 @@ def test_errors_are_explained():
         PlatoonEnv(preset="no-such")
     with pytest.raises(crumple.SpaceError):
         PlatoonEnv("no-such")
-    with pytest.raises(ValueError, match="environments"):
+    with pytest.raises(crumple.TrainingError, match="num_envs: must be a whole number from 1"):
         PlatoonVectorEnv(0)
     # Only vehicle 1 may be under test.
     everybody = crumple.space("paper").to_dict()

@@ -112,7 +112,7 @@ def test_a_callable_has_a_worst_case():
         crumple.worst_case("paper-1", max_brake_mps2=0.0)
     with pytest.raises(ValueError, match="aim"):
         crumple.worst_case("paper-1", aim="luck")
-    with pytest.raises(ValueError, match="budget"):
+    with pytest.raises(crumple.RunError, match="budget: must be a whole number from 1 to 10000000, found 0"):
         crumple.worst_case("paper-1", budget=0)
     safe = crumple.worst_case("paper-1", "idm", max_brake_mps2=0.01, budget=20)
     with pytest.raises(ValueError, match="nothing to replay"):

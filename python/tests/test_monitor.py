@@ -135,13 +135,13 @@ def test_a_replayed_failure_has_the_recorded_robustness():
 def test_robustness_equals_that_of_the_command_line(command_line_json):
     text = "always v1.time_gap_s > 0.3"
     run = crumple.simulate("paper-1", "idm", after_contact="continue")
-    printed = command_line_json("simulate", "paper-1", "--controller", "idm", "--spec", text, "--spec", "no contact")
+    printed = command_line_json("simulate", "paper-1", "--controller", "idm", "--spec", text, "--spec", "no collision")
     assert run.robustness(text) == printed["specifications"][0]["robustness"]
     stopped = crumple.simulate("paper-1", "idm")
-    assert stopped.robustness("no contact") == printed["specifications"][1]["robustness"]
+    assert stopped.robustness("no collision") == printed["specifications"][1]["robustness"]
     with pytest.raises(crumple.FormulaError, match="v9"):
         run.robustness("always v9.gap_m > 0")
     hit = crumple.simulate("paper-1", "baseline")
-    assert hit.robustness("no contact") < 0
+    assert hit.robustness("no collision") < 0
     with pytest.raises(crumple.FormulaError, match="continue"):
         hit.robustness(text)

@@ -67,3 +67,25 @@ def test_wrong_points_are_refused(points):
     raised = (ZeroDivisionError, "in the search") if points is None else (crumple.CampaignError, "`wrong`")
     with pytest.raises(raised[0], match=raised[1]):
         crumple.falsify("match-leader", method=crumple.SearchMethod(Wrong, name="wrong"), budget=10)
+
+
+@pytest.mark.parametrize("wrong", [0, -1, 10**9 + 1, 2.5, "ten", None])
+def test_numbers_out_of_range_are_refused(wrong):
+    with pytest.raises(crumple.CampaignError, match="budget: must be a whole number from 1 to 1000000000") as refused:
+        crumple.falsify("idm", budget=wrong)
+    assert refused.value.field == "budget"
+    with pytest.raises(crumple.CampaignError, match="budget: must be"):
+        crumple.compare("idm", methods=["auto"], budget=wrong)
+    with pytest.raises(crumple.CampaignError, match="seeds: must be a whole number from 1 to 1000"):
+        crumple.compare("idm", methods=["auto"], seeds=wrong)
+    with pytest.raises(crumple.RateError, match="runs: must be"):
+        crumple.rate("idm", runs=wrong)
+    with pytest.raises(crumple.RunError, match="budget: must be"):
+        crumple.worst_case("paper-1", budget=wrong if wrong != 10**9 + 1 else 10**7 + 1)
+
+
+def test_a_comparison_needs_a_method_and_a_seed_that_files_can_hold():
+    with pytest.raises(crumple.CampaignError, match="methods: must be from 1"):
+        crumple.compare("idm", methods=[], seeds=1, budget=1)
+    with pytest.raises(crumple.CampaignError, match="seed: must be"):
+        crumple.falsify("idm", budget=1, seed=2**63)

@@ -1,7 +1,9 @@
 """Tests of property tests with Hypothesis, of pickled values, and of controllers as processes."""
 
 import copy
+import os
 import pickle
+import subprocess
 import sys
 from pathlib import Path
 
@@ -92,6 +94,45 @@ def test_an_exception_of_the_controller_is_in_the_message(tmp_path):
     assert "a table ends here" in str(violation(faulty, testing.any_scenario(), folder=tmp_path))
     with pytest.raises(crumple.errors.FormulaError, match="column"):
         testing.Property.specification("always v1.speed_mps >")
+
+
+def test_an_error_is_a_violation_and_an_unsuitable_scenario_none(tmp_path):
+    scenario = crumple.scenario("paper-1")
+    missing = testing.Property.specification("always v5.speed_mps >= 0")
+    assert testing.check(sound, scenario, testing.Property.deterministic(), corpus=tmp_path)
+    assert not testing.check(sound, scenario, missing, corpus=tmp_path)
+    # The scenario's step does not divide the interval, also after a change to a suitable step.
+    odd = crumple.Controller(sound, interval_s=1e-9)
+    with pytest.raises(testing.PropertyViolated, match="the property ends with an error: the controller decides every"):
+        testing.check(odd, scenario, corpus=tmp_path)
+    # A violation of one property counts, even if the scenario does not test another one.
+    slow = testing.Property.specification("always v1.speed_mps < 1")
+    with pytest.raises(testing.PropertyViolated, match="speed_mps < 1"):
+        testing.check(sound, scenario, missing, slow, corpus=tmp_path)
+
+
+SAME_NAME = """
+import crumple
+from crumple import testing
+
+
+def test_it():
+    testing.check(lambda seen: {acceleration}, crumple.scenario("{scenario}"), corpus="corpus")
+"""
+
+
+def test_tests_of_one_name_in_two_files_have_separate_files(tmp_path):
+    for name, scenario in (("test_one.py", "paper-1"), ("test_two.py", "paper-3"), ("a/test_one.py", "paper-2")):
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text(SAME_NAME.format(acceleration=0.0, scenario=scenario))
+    arguments = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "--import-mode=importlib", "."]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
+    ran = subprocess.run(arguments, cwd=tmp_path, env=environment, capture_output=True, text=True)
+    assert "3 failed" in ran.stdout, ran.stdout
+    files = sorted((tmp_path / "corpus").iterdir())
+    assert [file.name[:16] for file in files] == ["test_one-test_it", "test_one-test_it", "test_two-test_it"]
+    assert all(file.suffix == ".toml" for file in files), "no temporary file remains"
+    assert {crumple.scenario(file).name for file in files} == {"paper-1", "paper-2", "paper-3"}
 
 
 def test_scenarios_and_spaces_can_be_pickled():

@@ -42,12 +42,19 @@ pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, CliError> {
     Ok(scenario)
 }
 
-pub(super) fn whole_number(range: RangeInclusive<u64>) -> impl Fn(&str) -> Result<u64, String> + Clone {
+/// Returns a parser of whole numbers in a range, for clap.
+pub(super) fn whole_number<T: TryFrom<u64>>(range: RangeInclusive<u64>) -> impl Fn(&str) -> Result<T, String> + Clone {
     move |words| {
         let (low, high) = (range.start(), range.end());
         let number = words.parse().ok().filter(|number| range.contains(number));
-        number.ok_or_else(|| format!("must be a whole number from {low} to {high}"))
+        let converted = number.and_then(|number| T::try_from(number).ok());
+        converted.ok_or_else(|| format!("must be a whole number from {low} to {high}"))
     }
+}
+
+/// Parses a number, for clap. Commands check its range.
+pub(super) fn number(words: &str) -> Result<f64, String> {
+    words.parse().map_err(|_| "must be a number".to_owned())
 }
 
 /// Parses a specification of runs like `nominal`. Warns if a formula is evaluated at the first instant only.

@@ -45,7 +45,7 @@ pub(super) struct Avoid {
     #[arg(value_name = "SCENARIO")]
     scenario: String,
     /// Hold the accelerations of an escape for S seconds, a multiple of the scenario's step; default about 0.1
-    #[arg(long, value_name = "S", allow_negative_numbers = true)]
+    #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = args::number)]
     grid: Option<f64>,
     /// Write the certificate of the escape or of the proof, for `crumple check`; replaces an existing file
     #[arg(long, value_name = "F.json")]

@@ -56,7 +56,7 @@ pub(super) struct Check {
           value_parser = parse_percent)]
     rerun: Option<f64>,
     /// Seed that selects the blocks to repeat; must have been unknown when the certificate was made [default: random]
-    #[arg(long, value_name = "N", requires = "rerun")]
+    #[arg(long, value_name = "N", requires = "rerun", value_parser = args::whole_number::<u64>(0..=u64::MAX))]
     rerun_seed: Option<u64>,
     /// Controller of counted runs that is not built in, for --rerun; may be given twice
     #[arg(long, value_name = "C", requires = "rerun", value_parser = args::parse_controller)]
@@ -64,6 +64,7 @@ pub(super) struct Check {
     /// Maximum number of operations to check one certificate, in billions; the default takes about ten minutes on one
     /// core
     #[arg(long, value_name = "N", default_value_t = WorkLimit::default().to_billions())]
+    #[arg(value_parser = args::whole_number::<u64>(0..=u64::MAX))]
     work_limit: u64,
     /// Output format: text, or one JSON object per certificate
     #[arg(long, value_enum, default_value = "text")]

@@ -22,7 +22,9 @@ use crumple_world::sim::{AfterContact, NamedController, Outcome, RecordingLevel,
 Writes two files for each scenario: NAME.xosc, and the road NAME.xodr to which it refers.
 
 A counterexample of a campaign is simulated with the controller and the estimator that its record states, unless \
---controller names another. `--as trajectories` (the default) simulates the scenario and writes the motion of every \
+--controller names another. crumple looks for the file of the controller in the folder of the counterexample and in \
+the current one and, if the record has its hash, in all folders above the counterexample. It starts a program only \
+with --allow-external. `--as trajectories` (the default) simulates the scenario and writes the motion of every \
 vehicle: timed polylines, followed by position in absolute time, within 2 mm of the simulation. A simulation that \
 ends with a collision ends there. `--as actions` writes the actions of the scripted vehicles with triggers; every \
 other vehicle has a controller, `under-test` or the name of its driver, that you supply in the other simulator.
@@ -54,8 +56,14 @@ pub(super) struct Export {
     #[arg(long, value_name = "ESTIMATOR", value_parser = value_enums::estimator())]
     estimator: Option<EstimatorKind>,
     /// Behaviour after a collision
-    #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = value_enums::after_contact())]
-    after_contact: AfterContact,
+    #[arg(
+        long,
+        alias = "after-contact",
+        value_name = "AFTER_COLLISION",
+        default_value = "stop",
+        value_parser = value_enums::after_collision()
+    )]
+    after_collision: AfterContact,
     /// Folder for the files, created if missing; `exported.sha256` lists them. crumple replaces only files that it
     /// wrote there and that have not changed
     #[arg(long, value_name = "FOLDER")]
@@ -179,14 +187,7 @@ impl Export {
             );
             return Err(CliError::Input(format!("{given}: {problem}")));
         };
-        let mut found = recorded.controller_folders(verdict).map(|folder| verdict.find_controller(&folder));
-        let first = found.next();
-        let controller = match first {
-            Some(Ok(controller)) => Ok(controller),
-            Some(Err(error)) => found.find_map(Result::ok).ok_or(error.to_string()),
-            None => Err("this controller does not exist".to_owned()),
-        };
-        let controller = controller.map_err(|error| {
+        let controller = recorded.find_controller(verdict).map_err(|error| {
             let problem = format!("the record names the controller `{}`: {error}", verdict.controller);
             CliError::Input(format!("{given}: {problem}; choose another one with --controller"))
         })?;
@@ -209,7 +210,7 @@ impl Export {
             Some(driven) => (driven.controller.kind.clone(), driven.estimator),
             None => (ControllerSpec::Baseline(Default::default()).into(), EstimatorKind::default()),
         };
-        let options = RunOptions::new(kind).with_estimator(estimator).with_after_contact(self.after_contact);
+        let options = RunOptions::new(kind).with_estimator(estimator).with_after_contact(self.after_collision);
         let run = Run::new(scenario, options).map_err(|error| failed(&error))?;
         let simulated = simulate(&run, RecordingLevel::Trace);
         if let Outcome::ControllerFailed(why) = &simulated.outcome {

@@ -2,15 +2,16 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::{Args, ValueEnum, value_parser};
+use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::simulate::OutputFormat;
 use super::{CliError, args, interrupt, output, progress, value_enums};
 use crumple_core::observer::Listener;
-use crumple_evidence::MethodComparison;
+use crumple_evidence::{MAX_SEEDS, MethodComparison};
 use crumple_search::falsify::campaign::{
-    Campaign, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog, MethodSummary, SearchObjective,
+    Campaign, CampaignOptions, CampaignProgress, CampaignSummary, EvaluationLog, MAX_BUDGET, MAX_SEED, MethodSummary,
+    SearchObjective,
 };
 use crumple_search::falsify::{FailureCriterion, Method, non_finite};
 use crumple_store::disk::StagedFiles;
@@ -73,13 +74,13 @@ pub(super) struct Falsify {
     #[arg(long, value_name = "A", default_value = "severest")]
     aim: SearchObjective,
     /// Evaluations of the method, and of each reference search: 1 to 1 000 000 000
-    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = value_parser!(u64).range(1..=1_000_000_000))]
+    #[arg(long, value_name = "N", default_value_t = 2000, value_parser = args::whole_number::<u64>(1..=MAX_BUDGET))]
     budget: u64,
     /// Seed of the search and of all noise
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = value_parser!(u64).range(..=i64::MAX as u64))]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number::<u64>(0..=MAX_SEED))]
     seed: u64,
-    /// Specification: `no contact`, a formula of signal temporal logic, or one of the named specifications below
-    #[arg(long, value_name = "STL", default_value = Specification::NO_CONTACT)]
+    /// Specification: `no collision`, a formula of signal temporal logic, or one of the named specifications below
+    #[arg(long, value_name = "STL", default_value = Specification::NO_COLLISION)]
     spec: String,
     /// Count only failures in scenarios that this other controller passes
     #[arg(long, value_name = "CONTROLLER", value_parser = args::parse_controller)]
@@ -101,7 +102,7 @@ pub(super) struct Falsify {
         long,
         value_name = "N",
         default_value_t = 30,
-        value_parser = value_parser!(u64).range(1..=1000),
+        value_parser = args::whole_number::<u64>(1..=MAX_SEEDS),
         requires = "compare"
     )]
     seeds: u64,
@@ -191,13 +192,15 @@ impl Falsify {
         output::note_nothing_to_resume(self.resume, &self.out, quiet);
         let bar = progress::campaign_bar(self.budget.saturating_mul(campaign.methods().len() as u64), quiet);
         let observer = Listener(|state: &CampaignProgress| {
-            bar.set_position(state.evaluations);
-            bar.set_message(match &state.method {
-                Some(method) => {
-                    format!("{method}: {}, best {:.2};", format_failure_count(state.failures), state.best_robustness)
+            let failures = format_failure_count(state.failures);
+            match (&state.method, state.examination) {
+                (Some(method), _) => {
+                    bar.set_position(state.evaluations);
+                    bar.set_message(format!("{method}: {failures}, best {:.2};", state.best_robustness));
                 }
-                None => format!("{}; replaying and shrinking;", format_failure_count(state.failures)),
-            });
+                (None, Some(step)) => progress::show_uncounted_step(&bar, format!("{failures}; {}", step.describe())),
+                (None, None) => progress::show_uncounted_step(&bar, format!("{failures}; writing the results")),
+            }
         });
         let kept = if self.log == EvaluationLog::Full { ", evaluations" } else { "" };
         let summary = campaign.run(&self.out, CampaignOptions { log: self.log, resume: self.resume }, &observer);

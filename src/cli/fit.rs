@@ -6,14 +6,14 @@ use std::fs::{File, Metadata};
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
-use clap::{Args, value_parser};
+use clap::Args;
 use serde_json::json;
 
 use super::import::{load_map, parse_min_brake, render_figure};
 use super::output_folder::stage_unless_edited;
 use super::progress::read_bar;
 use super::simulate::{OutputFormat, parse_path_ending_in};
-use super::{CliError, output, value_enums};
+use super::{CliError, args, output, value_enums};
 use crumple_core::digits;
 use crumple_core::quoting::TerminalText;
 use crumple_evidence::fit::{
@@ -57,20 +57,21 @@ pub(super) struct Fit {
     #[arg(long, default_value = "any", value_parser = value_enums::one_of(value_enums::LEADERS))]
     leaders: LeaderSelection,
     /// Mean deceleration over one second that makes a braking episode, in m/s²: above 0, below 12 [default: 1.3]
-    #[arg(long, value_name = "A", allow_hyphen_values = true)]
+    #[arg(long, value_name = "A", allow_hyphen_values = true, value_parser = args::number)]
     min_brake: Option<f64>,
     /// Vehicles of a scenario, including the leader: 2 to 5. Episodes with fewer are ignored; of more, the first ones
     /// count
-    #[arg(long, value_name = "N", default_value_t = 2, value_parser = value_parser!(u8).range(2..=MAX_VEHICLES as i64))]
+    #[arg(long, value_name = "N", default_value_t = 2)]
+    #[arg(value_parser = args::whole_number::<u8>(2..=MAX_VEHICLES as u64))]
     vehicles: u8,
     /// Name of the scenario space: 1 to 100 characters
     #[arg(long, value_name = "NAME", default_value = "fitted")]
     name: String,
     /// Samples for the goodness-of-fit test of each parameter: 19 to 9999
-    #[arg(long, value_name = "N", default_value_t = 199, value_parser = value_parser!(u32).range(19..=9999))]
+    #[arg(long, value_name = "N", default_value_t = 199, value_parser = args::whole_number::<u32>(19..=9999))]
     samples: u32,
     /// Seed of these samples
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number::<u64>(0..=u64::MAX))]
     seed: u64,
     /// File for the scenario space
     #[arg(long, value_name = "SPACE.toml", value_parser = parse_space_path)]

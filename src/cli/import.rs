@@ -14,7 +14,7 @@ use super::import_openscenario::{OpenScenarioArgs, is_openscenario};
 use super::output_folder::{OutputFolder, stage_unless_edited};
 use super::progress::read_bar;
 use super::simulate::OutputFormat;
-use super::{feature, output, simulate, value_enums};
+use super::{args, feature, output, simulate, value_enums};
 use crumple_core::quoting::TerminalText;
 use crumple_exchange::recording::guess::guess;
 use crumple_exchange::recording::map::{BUILT_IN_MAPS, RecordingMap};
@@ -76,7 +76,7 @@ pub(super) struct Import {
     #[arg(long, default_value = "any", value_parser = value_enums::one_of(value_enums::LEADERS))]
     leaders: LeaderSelection,
     /// Mean deceleration over one second that makes a braking episode, in m/s² [default: 1.3]
-    #[arg(long, value_name = "A", allow_hyphen_values = true)]
+    #[arg(long, value_name = "A", allow_hyphen_values = true, value_parser = args::number)]
     min_brake: Option<f64>,
     #[command(flatten)]
     openscenario: OpenScenarioArgs,

@@ -53,7 +53,7 @@ pub(super) struct InvariantCommand {
     #[arg(long, value_name = "M", default_value_t = 100.0, value_parser = |text: &str| parse_up_to(text, 1e4))]
     gap: f64,
     /// Gap beyond which the claim ends, in metres, for controllers that drive only up to a gap; default: never
-    #[arg(long, value_name = "M")]
+    #[arg(long, value_name = "M", value_parser = args::number)]
     end_beyond_gap: Option<f64>,
     /// Own speeds of the region in m/s; with --plant relative, closing speeds
     #[arg(long, value_name = "A..B", default_value = "0..35", allow_hyphen_values = true, value_parser = parse_range)]
@@ -71,10 +71,10 @@ pub(super) struct InvariantCommand {
     #[arg(long, value_name = "MPS", default_value_t = 1e-9, value_parser = |text: &str| parse_up_to(text, 1e2))]
     speed_error: f64,
     /// Cells of each speed: 4 to 1000. With too few, the search can take long and find no set
-    #[arg(long, value_name = "N", default_value_t = 140, value_parser = clap::value_parser!(u32).range(4..=1000))]
+    #[arg(long, value_name = "N", default_value_t = 140, value_parser = args::whole_number::<u32>(4..=1000))]
     cells: u32,
     /// Number of times that the check may divide a cell: 0 to 4
-    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(0..=4))]
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = args::whole_number::<u32>(0..=4))]
     splits: u32,
     /// Smallest gap of the set, in metres
     #[arg(long, value_name = "M", default_value_t = 0.0, value_parser = |text: &str| parse_up_to(text, 1e4))]

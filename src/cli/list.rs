@@ -1,6 +1,7 @@
 //! `crumple list`: names of built-in items.
 
 use std::fmt::Write;
+use std::io::{self, IsTerminal};
 
 use clap::{Args, ValueEnum};
 use serde::Serialize;
@@ -97,11 +98,11 @@ impl ListCommand {
         };
         let entries = |one: &Catalogue| (one.title().to_owned(), serde_json::json!(one.entries()));
         let all: serde_json::Map<_, _> = catalogues.iter().map(entries).collect();
-        output::print_result(self.format, &all, || format_catalogues(&catalogues))
+        output::print_result(self.format, &all, || format_catalogues(&catalogues, output_columns()))
     }
 }
 
-fn format_catalogues(catalogues: &[Catalogue]) -> String {
+fn format_catalogues(catalogues: &[Catalogue], columns: usize) -> String {
     let mut text = String::new();
     for (index, catalogue) in catalogues.iter().enumerate() {
         if catalogues.len() > 1 {
@@ -109,12 +110,55 @@ fn format_catalogues(catalogues: &[Catalogue]) -> String {
             let _ = writeln!(text, "{gap}{}", catalogue.title());
         }
         for CatalogueEntry { name, summary } in catalogue.entries() {
-            let _ = writeln!(text, "  {name:<20}{summary}");
+            write_entry(&mut text, name, &summary, columns);
         }
         if let Catalogue::Controllers = catalogue {
             let (name, summary) = FILE_ENTRY;
-            let _ = writeln!(text, "  {name:<20}{summary}");
+            write_entry(&mut text, name, summary, columns);
         }
     }
     text
+}
+
+/// Number of columns of a pipe or a file.
+const DEFAULT_COLUMNS: usize = 100;
+/// Columns of an indentation and a name.
+const NAME_COLUMNS: usize = 22;
+/// Least number of columns of a summary; a narrower terminal wraps it.
+const MIN_SUMMARY_COLUMNS: usize = 30;
+
+/// Returns the number of columns of standard output.
+fn output_columns() -> usize {
+    let width = if io::stdout().is_terminal() { terminal_size::terminal_size() } else { None };
+    width.map_or(DEFAULT_COLUMNS, |(columns, _)| columns.0.into())
+}
+
+/// Writes a name and its summary, whose lines are wrapped.
+fn write_entry(text: &mut String, name: &str, summary: &str, columns: usize) {
+    let mut shown = format!("  {name}");
+    for line in wrap(summary, columns.saturating_sub(NAME_COLUMNS).max(MIN_SUMMARY_COLUMNS)) {
+        let _ = writeln!(text, "{shown:<NAME_COLUMNS$}{line}");
+        shown.clear();
+    }
+}
+
+/// Breaks a text into lines, after spaces and commas, but not after a number, which may have a unit.
+fn wrap(text: &str, columns: usize) -> Vec<String> {
+    let mut pieces: Vec<String> = Vec::new();
+    for piece in text.split_inclusive([' ', ',']) {
+        let is_number = |before: &String| before.trim_end_matches(' ').ends_with(|last: char| last.is_ascii_digit());
+        match pieces.last_mut().filter(|before| is_number(before)) {
+            Some(before) => before.push_str(piece),
+            None => pieces.push(piece.to_owned()),
+        }
+    }
+    let mut lines = vec![String::new()];
+    for piece in &pieces {
+        let width = |text: &str| text.chars().count();
+        match lines.last_mut() {
+            Some(line) if line.is_empty() || width(line) + width(piece.trim_end()) <= columns => line.push_str(piece),
+            _ => lines.push(piece.clone()),
+        }
+    }
+    lines.into_iter().map(|line| line.trim_end().to_owned()).collect()
 }

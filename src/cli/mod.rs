@@ -36,6 +36,7 @@ mod reach;
 mod replay;
 mod retrain;
 mod run_report;
+mod run_total;
 mod shell;
 mod show;
 mod simulate;
@@ -249,6 +250,31 @@ mod tests {
         defined.sort_unstable();
         assert_eq!(listed, defined);
         assert!(list_by_task(&command).lines().all(|line| line.len() <= 100), "{}", list_by_task(&command));
+    }
+
+    /// An error about a number says which numbers are right; those of Rust's parsers do not.
+    #[test]
+    fn a_word_in_place_of_a_number_is_answered_with_the_numbers_that_are_right() {
+        fn check(command: &clap::Command, path: &[&str], numbers: &mut usize) {
+            for argument in command.get_arguments().filter(|argument| argument.get_action().takes_values()) {
+                let Some(long) = argument.get_long() else { continue };
+                let option = format!("--{long}=ten");
+                let words = ["crumple"].iter().chain(path).copied().chain([option.as_str()]);
+                let Err(error) = build_command().try_get_matches_from(words) else { continue };
+                let text = error.to_string();
+                assert!(
+                    !text.contains("invalid digit") && !text.contains("invalid float"),
+                    "{path:?} {option}: {text}"
+                );
+                *numbers += usize::from(text.contains("must be a"));
+            }
+            for below in command.get_subcommands() {
+                check(below, &[path, &[below.get_name()]].concat(), numbers);
+            }
+        }
+        let mut numbers = 0;
+        check(&build_command(), &[], &mut numbers);
+        assert!(numbers > 30, "{numbers}");
     }
 
     #[test]

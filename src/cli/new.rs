@@ -1,5 +1,8 @@
 //! `crumple new`: projects for a user's own controller, from templates.
 
+mod names;
+
+use std::fmt::Write;
 use std::path::{Path, PathBuf};
 
 use clap::{Args, ValueEnum};
@@ -7,12 +10,16 @@ use clap::{Args, ValueEnum};
 use super::{CliError, output};
 use crumple_store::disk::{self, StagedFiles};
 
-/// Text of the templates that a project replaces: its name, in both spellings, and the dependency on crumple.
+/// Texts of the templates that a project replaces: its name, in both spellings, the dependencies on crumple, and the
+/// version to install.
 const NAME: &str = "my-controller";
 const MODULE: &str = "my_controller";
-const RUST_SOURCE: &str = "git = \"https://github.com/crumple-rs/crumple\"";
+const RUST_SIMULATOR: &str = r#"crumple-world = { git = "https://github.com/crumple-rs/crumple" }"#;
+const RUST_HARNESS: &str = r#"crumple-testing = { git = "https://github.com/crumple-rs/crumple" }"#;
 const PYTHON_SOURCE: &str = "git+https://github.com/crumple-rs/crumple#subdirectory=python";
-const MAX_NAME_LENGTH: usize = 40;
+const INSTALLATION: &str = "--git https://github.com/crumple-rs/crumple crumple";
+/// Tag of the release in the repository.
+const TAG: &str = concat!("v", env!("CARGO_PKG_VERSION"));
 
 /// Create a project for your own controller: tests, gates and, for Rust, a fuzz target
 #[derive(Args)]
@@ -25,13 +32,14 @@ Examples:
   crumple new my-controller
   crumple new my-controller --template python")]
 pub(super) struct New {
-    /// Folder of the project, which must not exist; its name is 1 to 40 of a-z, 0-9 and -, and begins with a letter
+    /// Folder of the project, which must not exist; its name is 1 to 40 of a-z, 0-9 and -, begins with a letter, and is
+    /// no name that the language or its tools reserve
     #[arg(value_name = "DIR")]
     folder: PathBuf,
     /// Language of the controller
     #[arg(long, value_enum, value_name = "T", default_value = "rust")]
     template: Template,
-    /// Folder with the source of crumple; by default the project depends on the repository at GitHub
+    /// Folder with the source of crumple; by default the project depends on the same release at GitHub
     #[arg(long, value_name = "DIR")]
     crumple: Option<PathBuf>,
 }
@@ -87,51 +95,77 @@ impl Template {
 impl New {
     pub(super) fn run(self, quiet: bool) -> Result<(), CliError> {
         let folder = &self.folder;
-        let name = folder.file_name().and_then(|name| name.to_str()).filter(|name| is_project_name(name));
-        let Some(name) = name else {
-            let problem = "is not the name of a project: use 1 to 40 of a-z, 0-9 and -, begin with a letter, \
-                           and use no keyword or name of a module";
-            return Err(CliError::at(folder, problem));
-        };
+        let name = folder.file_name().unwrap_or_default().to_string_lossy();
+        names::check_name(&name, self.template)
+            .map_err(|reason| CliError::at(folder, format!("is not the name of a project: {reason}")))?;
         if folder.symlink_metadata().is_ok() {
             return Err(CliError::at(folder, "exists: choose a new folder"));
         }
-        let [rust_source, python_source] = self.sources()?;
+        let module = name.replace('-', "_");
+        let [simulator, harness, python, installation] = self.sources()?;
+        let values = [
+            (NAME, &*name),
+            (MODULE, &module),
+            (RUST_SIMULATOR, &simulator),
+            (RUST_HARNESS, &harness),
+            (PYTHON_SOURCE, &python),
+            (INSTALLATION, &installation),
+        ];
         let mut files = StagedFiles::default();
         for (path, text) in self.template.files() {
-            let adapted = |text: &str| text.replace(NAME, name).replace(MODULE, &name.replace('-', "_"));
-            let path = folder.join(adapted(path));
-            let text = text.replace(RUST_SOURCE, &rust_source).replace(PYTHON_SOURCE, &python_source);
+            let path = folder.join(fill(path, &values));
             path.parent().map_or(Ok(()), disk::make_folder)?;
-            files.stage(&path, adapted(&text))?;
+            files.stage(&path, fill(text, &values))?;
         }
         files.commit()?;
         output::note(&format!("created {}: README.md there lists its commands", folder.display()), quiet);
         Ok(())
     }
 
-    /// Returns the dependency of a manifest of Cargo, and that of a Python project.
-    fn sources(&self) -> Result<[String; 2], CliError> {
-        let Some(folder) = &self.crumple else { return Ok([RUST_SOURCE, PYTHON_SOURCE].map(str::to_owned)) };
+    /// Returns the dependencies on the simulator and on the test harness in a manifest of Cargo, the dependency of a
+    /// Python project, and the arguments of `cargo install`.
+    fn sources(&self) -> Result<[String; 4], CliError> {
+        let installation = INSTALLATION.replace(" crumple", &format!(" --tag {TAG} crumple"));
+        let Some(folder) = &self.crumple else {
+            let with_tag = |dependency: &str| dependency.replace(" }", &format!(", tag = \"{TAG}\" }}"));
+            let python = PYTHON_SOURCE.replace('#', &format!("@{TAG}#"));
+            return Ok([with_tag(RUST_SIMULATOR), with_tag(RUST_HARNESS), python, installation]);
+        };
         let path = folder.canonicalize().ok().filter(|path| path.join("crates/testing").is_dir());
-        // Both manifests quote the path in double quotes.
+        // Manifests of Cargo quote the path in double quotes.
         let is_plain = |path: &&str| !path.contains(|letter: char| letter.is_control() || "\"\\".contains(letter));
         let path = path.as_deref().and_then(Path::to_str).filter(is_plain);
         let path = path.ok_or_else(|| CliError::at(folder, "is not a folder with the source of crumple"))?;
-        Ok([format!("path = \"{path}/crates/testing\""), format!("file://{path}/python")])
+        let dependency = |name: &str| format!("crumple-{name} = {{ path = \"{path}/crates/{name}\" }}");
+        let python = format!("file://{}/python", percent_encoded(path));
+        Ok([dependency("world"), dependency("testing"), python, installation])
     }
 }
 
-/// Keywords of Rust and Python, and crates and modules that a project would shadow.
-const RESERVED_NAMES: &str = "abstract and as assert async await become box break class const continue core crate \
-    crumple crumple-testing def del do dyn elif else enum except extern final finally fn for from gen global \
-    hypothesis if impl import in is json lambda let libfuzzer-sys loop macro match mod move mut nonlocal not numpy or \
-    os override pass priv pub pytest raise random ref return self static std struct super sys test trait try type \
-    typeof unsafe unsized use virtual where while with yield";
+/// Replaces the keys in a template by their values. The values themselves, such as a path, are not changed.
+fn fill(template: &str, values: &[(&str, &str)]) -> String {
+    let (mut text, mut rest) = (String::new(), template);
+    loop {
+        let found = values.iter().filter_map(|(key, value)| Some((rest.find(key)?, *key, *value)));
+        let Some((at, key, value)) = found.min_by_key(|(at, ..)| *at) else { return text + rest };
+        let (before, after) = rest.split_at(at);
+        text += before;
+        text += value;
+        rest = after.strip_prefix(key).unwrap_or_default();
+    }
+}
 
-fn is_project_name(name: &str) -> bool {
-    !RESERVED_NAMES.split(' ').any(|reserved| reserved == name)
-        && (1..=MAX_NAME_LENGTH).contains(&name.len())
-        && name.starts_with(|letter: char| letter.is_ascii_lowercase())
-        && name.bytes().all(|byte| matches!(byte, b'a'..=b'z' | b'0'..=b'9' | b'-'))
+/// Encodes a path for a URL.
+fn percent_encoded(path: &str) -> String {
+    let mut encoded = String::new();
+    for byte in path.bytes() {
+        match byte {
+            b'a'..=b'z' | b'A'..=b'Z' | b'0'..=b'9' | b'/' | b'-' | b'.' | b'_' | b'~' => {
+                encoded.push(char::from(byte))
+            }
+            // Writing to a string does not fail.
+            other => drop(write!(encoded, "%{other:02X}")),
+        }
+    }
+    encoded
 }

@@ -76,11 +76,24 @@ fn colour_verdict(line: &str) -> String {
     match found.min_by_key(|(at, ..)| *at) {
         None => line.to_owned(),
         Some((at, word, colour)) => {
-            let style = Style::new().fg_color(Some(colour.into())).bold();
             let (before, after) = (line.get(..at).unwrap_or_default(), line.get(at + word.len()..).unwrap_or_default());
+            // A good verdict about some of several results is not one about all.
+            let is_partial = colour == AnsiColor::Green && share_in(before).is_some_and(|[count, all]| count < all);
+            let colour = if is_partial { AnsiColor::Yellow } else { colour };
+            let style = Style::new().fg_color(Some(colour.into())).bold();
             format!("{before}{style}{word}{style:#}{after}")
         }
     }
+}
+
+/// Returns the last share `COUNT of ALL` in a text.
+fn share_in(text: &str) -> Option<[u64; 2]> {
+    let words: Vec<&str> = text.split_whitespace().collect();
+    let share = |words: &[&str]| match words {
+        [count, "of", all] => Some([count.parse().ok()?, all.parse().ok()?]),
+        _ => None,
+    };
+    words.windows(3).rev().find_map(share)
 }
 
 pub(super) fn print_result(
@@ -151,6 +164,21 @@ pub(super) fn resolve_output_path(path: &Path) -> Result<PathBuf, CliError> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    /// "No collision" is good news only if it holds for all results.
+    #[test]
+    fn a_verdict_about_some_of_several_results_is_a_warning() {
+        for (line, colour) in [
+            ("  with the multi-body plant, 2 of 8 escapes have no collision (25.0 %)", AnsiColor::Yellow),
+            ("  with the multi-body plant, 0 of 8 escapes have no collision (0.0 %)", AnsiColor::Yellow),
+            ("  with the multi-body plant, 8 of 8 escapes have no collision (100.0 %)", AnsiColor::Green),
+            ("  no collision", AnsiColor::Green),
+            ("2 of 8 runs: COLLISION", AnsiColor::Red),
+        ] {
+            let style = Style::new().fg_color(Some(colour.into())).bold().to_string();
+            assert!(colour_verdict(line).contains(&style), "{line}");
+        }
+    }
 
     #[test]
     fn one_verdict_of_a_line_is_coloured_where_it_stands_alone() {

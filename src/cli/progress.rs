@@ -27,6 +27,14 @@ pub(super) fn campaign_bar(total: u64, quiet: bool) -> ProgressBar {
     progress_bar("{msg} {wide_bar} {human_pos}/{human_len} runs, {eta} left", Some(total), quiet)
 }
 
+/// Replaces the bar by a spinner: for a step that follows the counted work and takes an unknown time.
+pub(super) fn show_uncounted_step(bar: &ProgressBar, message: String) {
+    let style = ProgressStyle::with_template("{msg} {spinner} {elapsed} in all");
+    bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_spinner()));
+    bar.enable_steady_tick(Duration::from_millis(200));
+    bar.set_message(message);
+}
+
 pub(super) fn counter(what: &'static str, quiet: bool) -> ProgressBar {
     progress_bar("{msg} {spinner} {human_pos} runs", None, quiet).with_message(what)
 }

@@ -48,7 +48,7 @@ pub(super) struct ReachCommand {
     #[arg(long = "box", value_name = "BOX")]
     starts: PathBuf,
     /// Maximum number of bisections of one box: 0 to 40
-    #[arg(long, value_name = "N", default_value_t = 8, value_parser = clap::value_parser!(u32).range(0..=40))]
+    #[arg(long, value_name = "N", default_value_t = 8, value_parser = args::whole_number::<u32>(0..=40))]
     depth: u32,
     /// File for the certificate; the policy or network goes next to it; replaces an existing file
     #[arg(long, value_name = "FILE")]

@@ -47,7 +47,7 @@ pub(super) struct LogReplay {
     #[arg(long, value_name = "MAP.toml|NAME")]
     map: Option<PathBuf>,
     /// Deceleration that counts as braking of the controller, in m/s² [default: 1.3]
-    #[arg(long, value_name = "A", allow_hyphen_values = true)]
+    #[arg(long, value_name = "A", allow_hyphen_values = true, value_parser = args::number)]
     min_brake: Option<f64>,
     /// Output format
     #[arg(long, value_enum, default_value = "text")]

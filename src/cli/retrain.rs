@@ -70,41 +70,45 @@ pub(super) struct Retrain {
     #[arg(long, value_name = "PRESET")]
     preset: Option<String>,
     /// Maximum number of rounds: 1 to 99
-    #[arg(long, value_name = "N", default_value_t = DEFAULTS.rounds, value_parser = args::whole_number(1..=99))]
+    #[arg(long, value_name = "N", default_value_t = DEFAULTS.rounds, value_parser = args::whole_number::<u64>(1..=99))]
     rounds: u64,
     /// Episodes of reinforcement learning per round: 1 to 1 000 000, or 0 with an imitation
     /// [default: 1000; with an imitation, those of the preset]
-    #[arg(long, value_name = "N", value_parser = args::whole_number(0..=1_000_000))]
+    #[arg(long, value_name = "N", value_parser = args::whole_number::<u64>(0..=1_000_000))]
     episodes: Option<u64>,
     /// Search method (see `crumple list methods`)
     #[arg(long, value_name = "M", default_value = "auto")]
     method: Method,
     /// Evaluations of the search method per round and space, and of each reference search: 1 to 1 000 000
-    #[arg(long, value_name = "N", default_value_t = DEFAULTS.budget, value_parser = args::whole_number(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = DEFAULTS.budget)]
+    #[arg(value_parser = args::whole_number::<u64>(1..=1_000_000))]
     budget: u64,
     /// Random scenarios of each space that a round simulates in addition: up to 1 000 000
-    #[arg(long, value_name = "N", default_value_t = DEFAULTS.draws, value_parser = args::whole_number(0..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = DEFAULTS.draws)]
+    #[arg(value_parser = args::whole_number::<u64>(0..=1_000_000))]
     draws: u64,
     /// Avoidable random scenarios per space of the validation set, which accepts or rejects a round: 1 to 1 000 000
     #[arg(long = "kept-aside", value_name = "N", default_value_t = DEFAULTS.validation_draws)]
-    #[arg(value_parser = args::whole_number(1..=1_000_000))]
+    #[arg(value_parser = args::whole_number::<u64>(1..=1_000_000))]
     validation_draws: u64,
     /// Random scenarios of the paper's distribution, and drives of traffic, in the validation set: 1 to 1 000 000
-    #[arg(long, value_name = "N", default_value_t = DEFAULTS.nominal, value_parser = args::whole_number(1..=1_000_000))]
+    #[arg(long, value_name = "N", default_value_t = DEFAULTS.nominal)]
+    #[arg(value_parser = args::whole_number::<u64>(1..=1_000_000))]
     nominal: u64,
     /// Scenario space in which no round may make the policy worse, built-in or a file; may be repeated, `none` for none
     /// [default: all built-in spaces]
     #[arg(long, value_name = "S")]
     regression: Vec<String>,
     /// Random scenarios of each of these spaces: 1 to 10 000
-    #[arg(long, value_name = "N", default_value_t = DEFAULTS.regression, value_parser = args::whole_number(1..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = DEFAULTS.regression)]
+    #[arg(value_parser = args::whole_number::<u64>(1..=10_000))]
     regression_draws: u64,
     /// Avoidable random scenarios per space of the test set, which evaluates the result: 1 to 10 000 000
     #[arg(long = "judge", value_name = "N", default_value_t = DEFAULTS.test_draws)]
-    #[arg(value_parser = args::whole_number(1..=10_000_000))]
+    #[arg(value_parser = args::whole_number::<u64>(1..=10_000_000))]
     test_draws: u64,
     /// Seed of searches and trainings
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number(0..=i64::MAX as u64))]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number::<u64>(0..=i64::MAX as u64))]
     seed: u64,
     /// Folder of the retraining, created if missing
     #[arg(long, value_name = "DIR", default_value = "crumple-retrain")]

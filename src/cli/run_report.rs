@@ -188,6 +188,35 @@ pub(super) fn describe(report: &RunReport<'_>, scenario: &Scenario) -> String {
     text
 }
 
+/// Describes a run in one line: its end, and everything that is wrong.
+pub(super) fn describe_briefly(report: &RunReport<'_>) -> String {
+    let end = match (&report.outcome, report.impacts.first()) {
+        (Outcome::ControllerFailed(failed), _) => format!("CONTROLLER FAILED: {failed}"),
+        (_, Some(Impact { contact, .. })) => format!(
+            "COLLISION at {:.2} s: vehicle {} hits vehicle {} at {:.1} m/s",
+            contact.time_s, contact.rear_vehicle, contact.front_vehicle, contact.impact_speed_mps
+        ),
+        (_, None) => {
+            let least_m = report.vehicles.iter().filter_map(|vehicle| vehicle.min_gap_m).reduce(f64::min);
+            format!("no collision{}", least_m.map_or(String::new(), |gap_m| format!(", smallest gap {gap_m:.2} m")))
+        }
+    };
+    let mut parts = vec![format!("{}: {end}", report.scenario)];
+    if report.impacts.len() > 1 {
+        parts.push(format!("{} of {} vehicles involved", report.vehicles_involved, report.vehicles.len()));
+    }
+    let brakings = report.unnecessary_braking.iter().filter(|one| !one.braking.is_empty());
+    parts.extend(brakings.map(|UnnecessaryBrakingReport { vehicle, braking }| {
+        format!("vehicle {vehicle} brakes unnecessarily for {:.2} s", braking.time_s)
+    }));
+    parts.extend(report.fell_behind.iter().map(|vehicle| format!("vehicle {vehicle} is left behind by its leader")));
+    let violated = report.specifications.iter().filter(|evaluated| !evaluated.satisfied);
+    parts.extend(violated.map(|SpecificationResult { specification, robustness, .. }| {
+        format!("VIOLATED, robustness {robustness:.3}: {specification}")
+    }));
+    format!("{}\n", TerminalText(&parts.join("; ")))
+}
+
 pub(super) fn lane_changes(scenario: &Scenario, result: &SimulationResult) -> Vec<LaneChanges> {
     let Some(trace) = &result.trace else { return Vec::new() };
     let vehicles = scenario.vehicles().iter().zip(&trace.vehicles).enumerate();

@@ -6,8 +6,10 @@ use clap::{Args, ValueEnum};
 
 use super::output;
 use super::run_report::{
-    PartReport, RunReport, SpecificationResult, describe, fell_behind, lane_changes, unnecessary_braking,
+    PartReport, RunReport, SpecificationResult, describe, describe_briefly, fell_behind, lane_changes,
+    unnecessary_braking,
 };
+use super::run_total::{RunEnd, RunFindings, RunTotal, TotalReport};
 use super::{CliError, args, feature, value_enums};
 use crumple_report::draw::{self, MotionFigure, PanelArrangement, Svg};
 use crumple_report::export;
@@ -25,10 +27,12 @@ use crumple_world::sim::{
 /// Run scenarios and print their outcomes
 #[derive(Args)]
 #[command(after_long_help = "\
-For several scenarios, --plot and --trace write one file each, with the scenario's name before the extension.
+For several scenarios, --plot and --trace write one file each, with the scenario's name before the extension, and the \
+text ends with a total by kind of collision. With a folder, the text has one line for each scenario, or the full text \
+with --details, and the last object of JSON is the total.
 
 A formula of --spec is evaluated as by `crumple falsify`, on a simulation that continues after collisions whatever \
---after-contact says; negative robustness means violated. `--expect satisfied` requires that every scenario \
+--after-collision says; negative robustness means violated. `--expect satisfied` requires that every scenario \
 satisfies every specification, `--expect violated` that each scenario violates at least one. `safe` requires no \
 collision and no controller that fails, `collision` a collision. `useful` requires what `safe` does and no \
 unnecessary braking: for 0.2 s, by more than 2 m/s² harder than the Intelligent Driver Model would at the true \
@@ -41,10 +45,10 @@ a policy file 256 MiB, a network 64 MiB.
 
 Examples:
   crumple simulate paper-1 paper-2 paper-3 --controller baseline --estimator truth
-  crumple simulate paper-1 --after-contact continue --plot pile-up.svg
+  crumple simulate paper-1 --after-collision continue --plot pile-up.svg
   crumple simulate my-scenario.toml --controller idm --expect useful --format json
   crumple simulate paper-1 --controller idm --spec 'always v1.time_gap_s > 0.3' \\
-    --spec 'no contact' --expect satisfied
+    --spec 'no collision' --expect satisfied
   crumple simulate paper-1 --spec 'always (v1.gap_m > 2 and v2.gap_m > 2)' --parts \\
     --plot parts.svg")]
 pub(super) struct Simulate {
@@ -61,14 +65,21 @@ pub(super) struct Simulate {
     estimator: EstimatorKind,
     /// Seed of all noise instead of the scenario's
     #[arg(long, value_name = "N", allow_negative_numbers = true)]
+    #[arg(value_parser = args::whole_number::<u64>(0..=i64::MAX as u64))]
     seed: Option<u64>,
     /// Integration step in seconds, a whole fraction of the scenario's; controllers, sensors and noise keep the
     /// scenario's
     #[arg(long, value_name = "S", allow_negative_numbers = true, value_parser = parse_seconds)]
     dt: Option<f64>,
     /// Behaviour after a collision
-    #[arg(long, value_name = "AFTER_CONTACT", default_value = "stop", value_parser = value_enums::after_contact())]
-    after_contact: AfterContact,
+    #[arg(
+        long,
+        alias = "after-contact",
+        value_name = "AFTER_COLLISION",
+        default_value = "stop",
+        value_parser = value_enums::after_collision()
+    )]
+    after_collision: AfterContact,
     /// Plant of all vehicles that a controller drives, instead of the scenario's; scripted vehicles keep their motion
     #[arg(long, value_name = "PLANT", value_parser = value_enums::one_of(value_enums::PLANTS))]
     plant: Option<PlantKind>,
@@ -82,13 +93,16 @@ pub(super) struct Simulate {
         value_parser = |path: &str| parse_path_ending_in(path, ["csv", "parquet"])
     )]
     trace: Option<PathBuf>,
-    /// Evaluate a specification and its robustness: `no contact`, or a formula of signal temporal logic; may be
+    /// Evaluate a specification and its robustness: `no collision`, or a formula of signal temporal logic; may be
     /// repeated
     #[arg(long, value_name = "STL")]
     spec: Vec<String>,
     /// Also evaluate each part of the formulas over time; --plot draws the first twelve below the diagrams
     #[arg(long, requires = "spec")]
     parts: bool,
+    /// With a folder of scenario files: print the full text of each scenario instead of one line
+    #[arg(long)]
+    details: bool,
     /// Exit with 1 unless every scenario ends like this
     #[arg(long, value_enum)]
     expect: Option<RunExpectation>,
@@ -114,11 +128,11 @@ enum RunExpectation {
 impl RunExpectation {
     fn is_met(self, rendered: &RenderedRun) -> bool {
         match self {
-            Self::Safe => rendered.is_safe,
-            Self::Useful => rendered.is_safe && rendered.is_useful,
+            Self::Safe => rendered.is_safe(),
+            Self::Useful => rendered.is_safe() && rendered.is_useful,
             Self::Collision => rendered.collided,
-            Self::Satisfied => !rendered.violated,
-            Self::Violated => rendered.violated,
+            Self::Satisfied => !rendered.findings.violated,
+            Self::Violated => rendered.findings.violated,
         }
     }
 
@@ -144,22 +158,28 @@ pub(super) enum OutputFormat {
 struct RenderedRun {
     text: String,
     files: Vec<(PathBuf, Vec<u8>)>,
-    is_safe: bool,
     is_useful: bool,
     collided: bool,
-    violated: bool,
+    findings: RunFindings,
+}
+
+impl RenderedRun {
+    fn is_safe(&self) -> bool {
+        self.findings.end == RunEnd::NoCollision
+    }
 }
 
 fn parse_seconds(text: &str) -> Result<f64, String> {
-    match text.parse() {
-        Ok(found) if found > 0.0 && f64::is_finite(found) => Ok(found),
+    match text.parse::<f64>() {
+        Ok(found) if found > 0.0 && found.is_finite() => Ok(found),
         Ok(_) => Err("must be a positive number of seconds".to_owned()),
-        Err(error) => Err(error.to_string()),
+        Err(_) => Err("must be a number of seconds".to_owned()),
     }
 }
 
 impl Simulate {
     pub(super) fn run(mut self, quiet: bool) -> Result<(), CliError> {
+        let has_folder = self.scenarios.iter().any(|name| is_folder(name));
         self.scenarios = list_scenario_files(self.scenarios)?;
         if self.spec.is_empty() && matches!(self.expect, Some(RunExpectation::Satisfied | RunExpectation::Violated)) {
             return Err(CliError::Input("--expect: `satisfied` and `violated` need a --spec".to_owned()));
@@ -185,9 +205,10 @@ impl Simulate {
             output::note(&format!("note: {name} has no vehicle under test, so --controller has no effect"), quiet);
         }
         let many = runs.len() > 1;
+        let is_brief = has_folder && !self.details;
         // Unnecessary braking is computed from the trace.
         let results = simulate_batch(&runs, RecordingLevel::Trace, |index, simulated| {
-            self.render(&runs[index], &simulated, many)
+            self.render(&runs[index], &simulated, many, is_brief)
         });
         let results = results.into_iter().collect::<Result<Vec<_>, _>>()?;
         let mut files = StagedFiles::default();
@@ -196,6 +217,7 @@ impl Simulate {
         }
         files.commit()?;
         let mut text: String = results.iter().map(|result| result.text.as_str()).collect();
+        text += &self.total(&results, has_folder)?;
         if let (Some(plant), true, OutputFormat::Text) = (self.plant, many, self.format) {
             let share = ReplayShare::from_results(results.iter().map(|result| result.collided));
             let share = share.map(|share| share.describe("scenarios have a collision"));
@@ -205,15 +227,41 @@ impl Simulate {
         CliError::gate_first(self.check_expectation(&runs, &results), printed)
     }
 
+    /// Returns the total of several runs: for a folder in both formats, otherwise as text only.
+    fn total(&self, results: &[RenderedRun], has_folder: bool) -> Result<String, CliError> {
+        let findings: Vec<_> = results.iter().map(|result| result.findings).collect();
+        let total = RunTotal::new(&findings, !self.spec.is_empty());
+        match self.format {
+            OutputFormat::Text if has_folder || results.len() > 1 => {
+                Ok(total.describe(&self.controller.name, self.estimator.name()))
+            }
+            OutputFormat::Json if has_folder => {
+                Ok(serde_json::to_string(&TotalReport { total }).map_err(CliError::input)? + "\n")
+            }
+            _ => Ok(String::new()),
+        }
+    }
+
     /// Renders all output of one run, so that its trace can be dropped.
-    fn render(&self, run: &Run, simulated: &SimulationResult, is_one_of_many: bool) -> Result<RenderedRun, CliError> {
+    fn render(
+        &self,
+        run: &Run,
+        simulated: &SimulationResult,
+        is_one_of_many: bool,
+        is_brief: bool,
+    ) -> Result<RenderedRun, CliError> {
         let report = self.report(run, simulated)?;
-        let violated = report.specifications.iter().any(|evaluated| !evaluated.satisfied);
         let evaluated = &report.unnecessary_braking;
-        let brakes_with_cause = !evaluated.is_empty() && evaluated.iter().all(|one| one.braking.is_empty());
-        let is_useful = brakes_with_cause && report.fell_behind.is_empty();
+        let findings = RunFindings {
+            end: RunEnd::new(&simulated.outcome, run.scenario()),
+            brakes_unnecessarily: evaluated.iter().any(|one| !one.braking.is_empty()),
+            fell_behind: !report.fell_behind.is_empty(),
+            violated: report.specifications.iter().any(|evaluated| !evaluated.satisfied),
+        };
+        let is_useful = !evaluated.is_empty() && !findings.brakes_unnecessarily && !findings.fell_behind;
         let text = match self.format {
             OutputFormat::Json => serde_json::to_string(&report).map_err(CliError::input)? + "\n",
+            OutputFormat::Text if is_brief => describe_briefly(&report),
             OutputFormat::Text => describe(&report, run.scenario()),
         };
         let mut files = Vec::new();
@@ -237,14 +285,7 @@ impl Simulate {
                 files.push((path_for_scenario(path, name), table?));
             }
         }
-        Ok(RenderedRun {
-            text,
-            files,
-            is_safe: simulated.outcome.is_safe(),
-            is_useful,
-            collided: !simulated.impacts.is_empty(),
-            violated,
-        })
+        Ok(RenderedRun { text, files, is_useful, collided: !simulated.impacts.is_empty(), findings })
     }
 
     /// Notes which scenario files are recorded with other controllers than the present one.
@@ -281,7 +322,7 @@ impl Simulate {
     fn run_options(&self) -> RunOptions {
         let options = RunOptions::new(self.controller.kind.clone())
             .with_estimator(self.estimator)
-            .with_after_contact(self.after_contact);
+            .with_after_contact(self.after_collision);
         match self.dt {
             None => options,
             Some(dt_s) => options.with_dt_s(dt_s),
@@ -350,11 +391,15 @@ impl Simulate {
     }
 }
 
+fn is_folder(name: &str) -> bool {
+    built_in_scenario(name).is_none() && Path::new(name).is_dir()
+}
+
 /// Replaces each folder by its scenario files, in order of their names.
 fn list_scenario_files(names: Vec<String>) -> Result<Vec<String>, CliError> {
     let mut files = Vec::new();
     for name in names {
-        if built_in_scenario(&name).is_some() || !Path::new(&name).is_dir() {
+        if !is_folder(&name) {
             files.push(name);
             continue;
         }

@@ -63,10 +63,10 @@ pub(super) struct Train {
     #[arg(long, value_name = "S[=WEIGHT]", value_parser = parse_space_share)]
     space: Vec<TrainingSpace>,
     /// Train this seed [default: 0]
-    #[arg(long, value_name = "N", conflicts_with = "seeds", value_parser = args::whole_number(0..=u64::MAX))]
+    #[arg(long, value_name = "N", conflicts_with = "seeds", value_parser = args::whole_number::<u64>(0..=u64::MAX))]
     seed: Option<u64>,
     /// Train seeds 0 to N - 1: 1 to 100 000
-    #[arg(long, value_name = "N", value_parser = args::whole_number(1..=100_000))]
+    #[arg(long, value_name = "N", value_parser = args::whole_number::<u64>(1..=100_000))]
     seeds: Option<u64>,
     /// Folder for policies, logs and checkpoints, created if missing; `training.sha256` lists the results that every
     /// command with this folder writes anew
@@ -76,7 +76,7 @@ pub(super) struct Train {
     #[arg(long)]
     resume: bool,
     /// Maximum number of episodes, instead of the preset's: 1 to 10 000 000
-    #[arg(long, value_name = "N", value_parser = args::whole_number(1..=10_000_000))]
+    #[arg(long, value_name = "N", value_parser = args::whole_number::<u64>(1..=10_000_000))]
     episodes: Option<u64>,
     /// Output format of the results
     #[arg(long, value_enum, default_value = "text")]

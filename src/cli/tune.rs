@@ -63,16 +63,16 @@ pub(super) struct Tune {
     #[arg(long, value_enum, value_name = "M", default_value = "cma-es")]
     method: TuningMethod,
     /// Candidates, the initial settings included: 2 to 10 000
-    #[arg(long, value_name = "N", default_value_t = 400, value_parser = args::whole_number(2..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = 400, value_parser = args::whole_number::<u64>(2..=10_000))]
     evaluations: u64,
     /// Random scenarios of each space for each candidate: 1 to 10 000
-    #[arg(long, value_name = "N", default_value_t = 200, value_parser = args::whole_number(1..=10_000))]
+    #[arg(long, value_name = "N", default_value_t = 200, value_parser = args::whole_number::<u64>(1..=10_000))]
     runs: u64,
     /// Random scenarios of each space in the test set: 1 to 100 000
-    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = args::whole_number(1..=100_000))]
+    #[arg(long, value_name = "N", default_value_t = 1000, value_parser = args::whole_number::<u64>(1..=100_000))]
     test_runs: u64,
     /// Seed of the search and of all scenarios
-    #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number(0..=i64::MAX as u64))]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number::<u64>(0..=i64::MAX as u64))]
     seed: u64,
     /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]

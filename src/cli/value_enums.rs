@@ -16,8 +16,8 @@ const ESTIMATORS: &[ArgValue<EstimatorKind>] = &[
     (EstimatorKind::Truth, "truth", "The true state"),
 ];
 
-const AFTER_CONTACT: &[ArgValue<AfterContact>] = &[
-    (AfterContact::Stop, "stop", "End the run at the instant of contact"),
+const AFTER_COLLISION: &[ArgValue<AfterContact>] = &[
+    (AfterContact::Stop, "stop", "End the run at the instant of the collision"),
     (
         AfterContact::Continue,
         "continue",
@@ -56,9 +56,9 @@ pub(super) fn estimator() -> impl TypedValueParser<Value = EstimatorKind> {
     one_of(ESTIMATORS)
 }
 
-/// Returns the clap parser of the option `--after-contact`.
-pub(super) fn after_contact() -> impl TypedValueParser<Value = AfterContact> {
-    one_of(AFTER_CONTACT)
+/// Returns the clap parser of the option `--after-collision`.
+pub(super) fn after_collision() -> impl TypedValueParser<Value = AfterContact> {
+    one_of(AFTER_COLLISION)
 }
 
 /// Returns a clap parser that selects one of `choices` by its name.

@@ -89,27 +89,28 @@ struct RateCommand {
     space: (String, ScenarioSpace),
     /// Number of runs, fixed beforehand: 1 to 1 000 000 000
     #[arg(long, value_name = "N", required_unless_present_any = ["rate_below", "rare"])]
+    #[arg(value_parser = args::whole_number::<u64>(1..=1_000_000_000))]
     runs: Option<u64>,
     /// Failure rate to show, above 0 and below 1: count the fewest runs that suffice if at most --failures of them fail
-    #[arg(long, value_name = "P", conflicts_with_all = ["runs", "against"])]
+    #[arg(long, value_name = "P", conflicts_with_all = ["runs", "against"], value_parser = args::number)]
     rate_below: Option<f64>,
     /// With --rate-below: failures among the runs that the claim tolerates, 0 to 1 000 000 [default: 0]
-    #[arg(long, value_name = "K", requires = "rate_below", value_parser = args::whole_number(0..=1_000_000))]
+    #[arg(long, value_name = "K", requires = "rate_below", value_parser = args::whole_number::<u64>(0..=1_000_000))]
     failures: Option<u64>,
     /// Confidence level of the claim: above 0.5 and below 1
-    #[arg(long, value_name = "c", default_value_t = 0.999)]
+    #[arg(long, value_name = "c", default_value_t = 0.999, value_parser = args::number)]
     confidence: f64,
     /// Estimate the probability of a rare failure by splitting instead of counting; writes no certificate
     #[arg(long, conflicts_with_all = ["runs", "rate_below", "against", "confidence"])]
     rare: bool,
-    /// With --rare: specification, as in `crumple falsify` [default: no contact]
+    /// With --rare: specification, as in `crumple falsify` [default: no collision]
     #[arg(long, value_name = "STL", requires = "rare")]
     spec: Option<String>,
     /// With --rare: runs of a population, 50 to 100 000, for each repetition and each of up to 18 levels [default: 500]
-    #[arg(long, value_name = "N", requires = "rare", value_parser = clap::value_parser!(u32).range(50..=100_000))]
+    #[arg(long, value_name = "N", requires = "rare", value_parser = args::whole_number::<u32>(50..=100_000))]
     samples: Option<u32>,
     /// With --rare: independent populations, 5 to 1000 [default: 20]
-    #[arg(long, value_name = "N", requires = "rare", value_parser = clap::value_parser!(u32).range(5..=1000))]
+    #[arg(long, value_name = "N", requires = "rare", value_parser = args::whole_number::<u32>(5..=1000))]
     repetitions: Option<u32>,
     /// Output format
     #[arg(long, value_enum, default_value = "text")]
@@ -119,10 +120,10 @@ struct RateCommand {
     #[arg(long, value_name = "N", value_parser = exposure::parse_resamples)]
     resamples: Option<u32>,
     /// Runs in each resample, without --rare: 50 to 100 000 [default: 500]
-    #[arg(long, value_name = "N", conflicts_with = "rare", value_parser = clap::value_parser!(u32).range(50..=100_000))]
+    #[arg(long, value_name = "N", conflicts_with = "rare", value_parser = args::whole_number::<u32>(50..=100_000))]
     resample_runs: Option<u32>,
     /// Seed of all random scenarios
-    #[arg(long, value_name = "N", default_value_t = 0)]
+    #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number::<u64>(0..=u64::MAX))]
     seed: u64,
     /// Estimator of the vehicles under test
     #[arg(long, value_name = "ESTIMATOR", default_value = "kalman", value_parser = value_enums::estimator())]

@@ -3,7 +3,7 @@
 
 use std::fmt::Write;
 
-use clap::{Args, ValueEnum, value_parser};
+use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::artifacts::ArtifactArgs;
@@ -63,14 +63,14 @@ pub(super) struct WorstCase {
     #[arg(long, value_name = "AIM", value_parser = value_enums::one_of(value_enums::AIMS))]
     aim: Option<AttackObjective>,
     /// Maximum braking of the leader in m/s² [default: its limit on this road]
-    #[arg(long, value_name = "A", allow_negative_numbers = true)]
+    #[arg(long, value_name = "A", allow_negative_numbers = true, value_parser = args::number)]
     max_brake: Option<f64>,
     /// Maximum jerk of the leader in m/s³ [default: 10]
-    #[arg(long, value_name = "J", allow_negative_numbers = true)]
+    #[arg(long, value_name = "J", allow_negative_numbers = true, value_parser = args::number)]
     jerk: Option<f64>,
     /// Maximum number of simulations, 1 to 10 000 000, except for those that are always made (see below) [default:
     /// 3000]
-    #[arg(long, value_name = "N", value_parser = value_parser!(u32).range(1..=10_000_000))]
+    #[arg(long, value_name = "N", value_parser = args::whole_number::<u32>(1..=10_000_000))]
     budget: Option<u32>,
     #[command(flatten)]
     finding: ArtifactArgs,

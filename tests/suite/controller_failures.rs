@@ -143,7 +143,7 @@ fn a_controller_is_not_put_where_the_neighbour_it_needs_is_missing() {
 fn every_specification_is_violated_at_its_worst() {
     let scenario = all_under_test_scenario();
     let options = RunOptions::new(FailingController::new(100, Err(died_failure())).into_kind());
-    for text in [Specification::NO_CONTACT, "always v1.speed_mps >= 0"] {
+    for text in [Specification::NO_COLLISION, "always v1.speed_mps >= 0"] {
         let specification = Specification::parse(text, &scenario).unwrap();
         let verdict = specification.evaluate_scenario(&scenario, options.clone()).unwrap();
         assert_eq!((verdict.robustness, verdict.failure), (f64::NEG_INFINITY, Some((1.0, 1))), "{text}");

@@ -31,7 +31,7 @@ pub use certificate_report::{CertificateReport, CountsStatus, report_json, repor
 pub use crumple_core::interval::RateInterval;
 pub use invariant::{Defeat, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet, InvariantSpec};
 pub use kernel::{kernel_certificate, shipped_kernels};
-pub use method_comparison::{MethodComparison, MethodPair, MethodRuns, PairedTest};
+pub use method_comparison::{MAX_SEEDS, MethodComparison, MethodPair, MethodRuns, PairedTest};
 pub use paired::DiscordantPairs;
 pub use planning::{SampleSizeError, required_runs};
 pub use rate::{CountProgress, InvalidRate, RateConfig, RateError, RatePlan};

@@ -9,6 +9,11 @@ use serde::Serialize;
 
 use super::{DiscordantPairs, RateInterval};
 
+/// Maximum number of seeds of a comparison.
+pub const MAX_SEEDS: u64 = 1000;
+
+const MAX_METHODS: u64 = 1000;
+
 /// Confidence level of the intervals.
 const CONFIDENCE: f64 = 0.95;
 
@@ -126,16 +131,20 @@ impl MethodPair {
 }
 
 impl MethodComparison {
-    /// Runs each method with the campaign's seed and the following ones, each run up to its first failure.
+    /// Runs each method with the campaign's seed and the following ones (1 to [`MAX_SEEDS`]), each run up to its first
+    /// failure.
     ///
     /// # Errors
-    /// [`CampaignError`] if a scenario cannot be run, or `observer` stops the comparison.
+    /// [`CampaignError`] if a number is out of range, there is no method, a scenario cannot be run, or `observer` stops
+    /// the comparison.
     pub fn run(
         campaign: &Campaign,
         methods: &[Method],
         seeds: u64,
         observer: &dyn Observer<CampaignProgress>,
     ) -> Result<Self, CampaignError> {
+        CampaignError::check_range("seeds", seeds, 1..=MAX_SEEDS)?;
+        CampaignError::check_range("methods", methods.len() as u64, 1..=MAX_METHODS)?;
         let total = campaign.budget.saturating_mul(seeds).saturating_mul(methods.len() as u64);
         let (mut results, mut finished, mut failures) = (Vec::new(), 0, 0);
         for method in methods {
@@ -262,6 +271,18 @@ mod tests {
         let mut tests = [0.01, 0.04, 0.03, 0.5].map(|p| PairedTest { first: 0, second: 0, p, p_corrected: p });
         correct_by_holm(tests.iter_mut().collect());
         assert_eq!(tests.map(|test| test.p_corrected), [0.04, 0.09, 0.09, 0.5]);
+    }
+
+    #[test]
+    fn a_comparison_needs_seeds_and_methods() {
+        let controller = ControllerSpec::from_name("match-leader").unwrap();
+        let campaign = Campaign { budget: 1, ..Campaign::new(controller, built_in_space("high-risk").unwrap()) };
+        let refused = |methods: &[Method], seeds| {
+            MethodComparison::run(&campaign, methods, seeds, &Quiet).unwrap_err().to_string()
+        };
+        assert_eq!(refused(&[Method::Uniform], 0), "seeds: must be from 1 to 1000, found 0");
+        assert_eq!(refused(&[Method::Uniform], 1001), "seeds: must be from 1 to 1000, found 1001");
+        assert_eq!(refused(&[], 1), "methods: must be from 1 to 1000, found 0");
     }
 
     #[test]

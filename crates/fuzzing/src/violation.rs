@@ -131,7 +131,7 @@ impl TestCase {
             how.push(format!("--dt {}", scenario.spec().step_s / f64::from(setup.substeps)));
         }
         if setup.after_contact == AfterContact::Continue {
-            how.push("--after-contact continue".to_owned());
+            how.push("--after-collision continue".to_owned());
         }
         let text = to_toml(&scenario).unwrap_or_default();
         format!("# crumple simulate THIS-FILE.toml {}\n{text}", how.join(" "))

@@ -62,7 +62,7 @@ pub fn draw_learning_curve_with_reference(curve: &LearningCurve, stated: Option<
     let is_high = right.iter().sum::<f64>() > 0.5 * COLLISION_FREE_REWARD * right.len() as f64;
     let words_at =
         |line: f64| (last * 0.995, COLLISION_FREE_REWARD * (if is_high { 0.14 } else { 0.72 } - 0.09 * line));
-    panel.add_note(words_at(0.0), Anchor::End, "dashes: 22 500, no contact", Ink::Muted);
+    panel.add_note(words_at(0.0), Anchor::End, "dashes: 22 500, no collision", Ink::Muted);
     let mut description =
         "The mean over all seeds; a seed that has ended keeps its best. 22 500 is an episode without a collision."
             .to_owned();

@@ -157,57 +157,75 @@ impl ControllerCheck {
         let replayed = env::var_os(REPLAY).map(PathBuf::from);
         let known = replayed.as_deref().unwrap_or(&self.corpus);
         let known = if known.exists() || replayed.is_some() { load_all(known)? } else { Vec::new() };
-        let cases = if replayed.is_some() { 0 } else { self.cases };
-        if let Some(property) = properties.first().filter(|_| known.is_empty() && cases == 0) {
-            let (property, reason) = (property.name().to_owned(), "there are no scenarios".to_owned());
-            return Err(CheckError::NotTested { property, reason });
-        }
-        for (file, scenario) in known {
-            for property in &properties {
-                if let PropertyVerdict::Violated(finding) = self.evaluate(property, &scenario) {
-                    let shrunk = ShrunkScenario { scenario, changes: Vec::new() };
-                    let count = "a scenario of the corpus".to_owned();
-                    return Err(Box::new(self.failure(property, finding, shrunk, file, count)).into());
-                }
-            }
-        }
+        self.cases = if replayed.is_some() { 0 } else { self.cases };
+        self.check_known(&properties, &known)?;
         let mut summary = CheckSummary { evaluated: 0, not_applicable: 0 };
         for property in &properties {
-            let (mut not_applicable, mut last_reason) = (0, String::new());
-            for from in (0..cases).step_by(BATCH_CASES as usize) {
-                let to = cases.min(from.saturating_add(BATCH_CASES));
-                let evaluate = |case: u32| {
-                    let mut rng = stream(self.seed, Purpose::ScenarioSampling, case.into());
-                    let bytes = scenarios.random_bytes(&mut rng);
-                    (self.evaluate(property, &scenarios.read(&bytes)), bytes)
-                };
-                let batch: Vec<_> = (from..to).into_par_iter().map(evaluate).collect();
-                let (mut failing, mut first) = (0, None);
-                for (verdict, bytes) in batch {
-                    match verdict {
-                        PropertyVerdict::Holds => {}
-                        PropertyVerdict::NotApplicable(reason) => {
-                            not_applicable += 1;
-                            last_reason = reason;
-                        }
-                        PropertyVerdict::Violated(finding) => {
-                            failing += 1;
-                            first.get_or_insert((finding, bytes));
-                        }
-                    }
-                }
-                if let Some((finding, bytes)) = first {
-                    let count = format!("{failing} of {to} cases violate it (seed {})", self.seed);
-                    return Err(self.shrink_and_write(property, finding, &scenarios, &bytes, count)?.into());
-                }
-            }
-            if not_applicable > 0 && not_applicable == cases as usize {
-                return Err(CheckError::NotTested { property: property.name().to_owned(), reason: last_reason });
-            }
-            summary.evaluated += cases as usize;
-            summary.not_applicable += not_applicable;
+            summary.not_applicable += self.check_random(property, &scenarios)?;
+            summary.evaluated += self.cases as usize;
         }
         Ok(summary)
+    }
+
+    /// Evaluates the scenarios of the corpus. Without random scenarios, one of them must test each property.
+    fn check_known(&self, properties: &[Property], known: &[(PathBuf, Scenario)]) -> Result<(), CheckError> {
+        let mut reasons = vec![Some("there are no scenarios".to_owned()); properties.len()];
+        for (file, scenario) in known {
+            for (property, reason) in properties.iter().zip(&mut reasons) {
+                match self.evaluate(property, scenario) {
+                    PropertyVerdict::Holds => *reason = None,
+                    PropertyVerdict::NotApplicable(why) => *reason = reason.is_some().then_some(why),
+                    PropertyVerdict::Violated(finding) => {
+                        let shrunk = ShrunkScenario { scenario: scenario.clone(), changes: Vec::new() };
+                        let count = "a scenario of the corpus".to_owned();
+                        return Err(Box::new(self.failure(property, finding, shrunk, file.clone(), count)).into());
+                    }
+                }
+            }
+        }
+        let untested = properties.iter().zip(reasons).find_map(|(property, reason)| Some((property, reason?)));
+        match untested {
+            Some((property, reason)) if self.cases == 0 => {
+                Err(CheckError::NotTested { property: property.name().to_owned(), reason })
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// Evaluates random scenarios and returns the number of those that do not test the property.
+    fn check_random(&self, property: &Property, scenarios: &Scenarios) -> Result<usize, CheckError> {
+        let (mut not_applicable, mut last_reason) = (0, String::new());
+        for from in (0..self.cases).step_by(BATCH_CASES as usize) {
+            let to = self.cases.min(from.saturating_add(BATCH_CASES));
+            let evaluate = |case: u32| {
+                let mut rng = stream(self.seed, Purpose::ScenarioSampling, case.into());
+                let bytes = scenarios.random_bytes(&mut rng);
+                (self.evaluate(property, &scenarios.read(&bytes)), bytes)
+            };
+            let batch: Vec<_> = (from..to).into_par_iter().map(evaluate).collect();
+            let (mut failing, mut first) = (0, None);
+            for (verdict, bytes) in batch {
+                match verdict {
+                    PropertyVerdict::Holds => {}
+                    PropertyVerdict::NotApplicable(reason) => {
+                        not_applicable += 1;
+                        last_reason = reason;
+                    }
+                    PropertyVerdict::Violated(finding) => {
+                        failing += 1;
+                        first.get_or_insert((finding, bytes));
+                    }
+                }
+            }
+            if let Some((finding, bytes)) = first {
+                let count = format!("{failing} of {to} cases violate it (seed {})", self.seed);
+                return Err(self.shrink_and_write(property, finding, scenarios, &bytes, count)?.into());
+            }
+        }
+        if not_applicable > 0 && not_applicable == self.cases as usize {
+            return Err(CheckError::NotTested { property: property.name().to_owned(), reason: last_reason });
+        }
+        Ok(not_applicable)
     }
 
     fn evaluate(&self, property: &Property, scenario: &Scenario) -> PropertyVerdict {

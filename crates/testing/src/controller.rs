@@ -1,11 +1,10 @@
 //! The controller under test and its runs.
 
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
 
-use crumple_world::control::{Controller, ControllerFailure, ControllerKind, ControllerSource, Ego};
+use crumple_world::control::ControllerKind;
 use crumple_world::measure::{RunVerdict, Specification, SpecificationError};
-use crumple_world::observation::{EstimatorKind, Observation};
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::Scenario;
 use crumple_world::sim::{AfterContact, RecordingLevel, Run, RunError, RunOptions, SimulationResult, simulate};
 
@@ -60,33 +59,5 @@ impl ControllerUnderTest {
 
     fn options(&self) -> RunOptions {
         RunOptions::new(self.kind.clone()).with_estimator(self.estimator)
-    }
-}
-
-/// A controller without memory: a function from an observation to an acceleration in m/s².
-#[derive(Debug, Clone, Copy)]
-pub struct StatelessController<F>(F);
-
-/// Makes a function a controller under test. A controller with memory implements [`ControllerSource`].
-pub fn stateless<F>(decide: F) -> Arc<StatelessController<F>>
-where
-    F: Fn(&Observation) -> f64 + Clone + Send + Sync + 'static,
-{
-    Arc::new(StatelessController(decide))
-}
-
-impl<F: Fn(&Observation) -> f64 + Clone + Send + Sync + 'static> ControllerSource for StatelessController<F> {
-    fn identity(&self) -> Option<String> {
-        None
-    }
-
-    fn start(&self, _ego: &Ego, _seed: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
-        Ok(Box::new(Self(self.0.clone())))
-    }
-}
-
-impl<F: Fn(&Observation) -> f64 + Send> Controller for StatelessController<F> {
-    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
-        Ok(self.0(seen))
     }
 }

@@ -12,7 +12,7 @@ use crumple_world::measure::{
     DrivingRule, JERK_WINDOW_S, RunVerdict, Specification, SpecificationError, SpeedAmplification, peak_jerk_mps3,
 };
 use crumple_world::scenario::Scenario;
-use crumple_world::sim::SimulationResult;
+use crumple_world::sim::{RunError, SimulationResult};
 
 use super::{ControllerUnderTest, MetamorphicRelation};
 
@@ -31,7 +31,9 @@ type VerdictFn = dyn Fn(&ControllerUnderTest, &Scenario) -> Result<PropertyVerdi
 
 /// A property that a controller must have in every scenario.
 ///
-/// A panic of the controller violates any property, and so does an answer that is not finite.
+/// A panic or an error of the controller violates any property, and so does an answer that is not finite. The built-in
+/// properties do not apply to a scenario that lacks a vehicle which the controller needs or a signal of the formula,
+/// that a shield refuses, or that is shorter than the formula.
 #[derive(Clone)]
 pub struct Property {
     name: String,
@@ -45,8 +47,25 @@ impl fmt::Debug for Property {
 }
 
 impl Property {
-    /// Creates a property from a function. A scenario for which the function returns an error does not test it. Line
-    /// breaks in the name become spaces.
+    /// Creates a property from a function. An error violates the property, and so does a panic. A scenario does not
+    /// test the property if the function returns [`PropertyVerdict::NotApplicable`]. Line breaks in the name become
+    /// spaces.
+    ///
+    /// ```
+    /// use crumple_testing::world::control::ControllerSpec;
+    /// use crumple_testing::{Property, PropertyVerdict, check};
+    ///
+    /// let keeps_distance = Property::new("keeps a gap of 0.5 m", |controller, scenario| {
+    ///     let result = controller.simulate(scenario)?;
+    ///     let under_test = result.vehicles.iter().enumerate().filter(|(index, _)| scenario.is_under_test(*index));
+    ///     Ok(match under_test.filter_map(|(_, vehicle)| vehicle.min_gap_m).reduce(f64::min) {
+    ///         None => PropertyVerdict::NotApplicable("no vehicle is ahead".to_owned()),
+    ///         Some(gap_m) if gap_m < 0.5 => PropertyVerdict::Violated(format!("the gap falls to {gap_m:.2} m")),
+    ///         Some(_) => PropertyVerdict::Holds,
+    ///     })
+    /// });
+    /// check(ControllerSpec::from_name("idm").unwrap()).on("traffic").property(keeps_distance).cases(10).assert();
+    /// ```
     pub fn new(
         name: impl Into<String>,
         evaluate: impl Fn(&ControllerUnderTest, &Scenario) -> Result<PropertyVerdict, SpecificationError>
@@ -57,10 +76,24 @@ impl Property {
         Self { name: name.into().replace(char::is_control, " "), evaluate: Arc::new(evaluate) }
     }
 
+    /// Creates a property that does not apply to scenarios for which the controller or the property is not made.
+    fn with_preconditions(
+        name: impl Into<String>,
+        evaluate: impl Fn(&ControllerUnderTest, &Scenario) -> Result<PropertyVerdict, SpecificationError>
+        + Send
+        + Sync
+        + 'static,
+    ) -> Self {
+        Self::new(name, move |controller, scenario| match evaluate(controller, scenario) {
+            Err(error) if is_unmet_precondition(&error) => Ok(PropertyVerdict::NotApplicable(error.to_string())),
+            other => other,
+        })
+    }
+
     /// No collision that some driver of the vehicles under test could have avoided, in front of them or behind.
     #[must_use]
     pub fn no_avoidable_collision() -> Self {
-        Self::new("no avoidable collision", |controller, scenario| {
+        Self::with_preconditions("no avoidable collision", |controller, scenario| {
             let verdict = controller.evaluate(&Specification::NoContact, scenario)?;
             if verdict.contact.is_none() {
                 return Ok(from_run(controller, scenario, &verdict));
@@ -79,7 +112,7 @@ impl Property {
     /// No braking harder than the traffic justifies ([`DrivingRule::NoUnnecessaryBraking`]).
     #[must_use]
     pub fn no_unnecessary_braking() -> Self {
-        Self::new("no unnecessary braking", |controller, scenario| {
+        Self::with_preconditions("no unnecessary braking", |controller, scenario| {
             let rule = Specification::DrivingRule(DrivingRule::NoUnnecessaryBraking);
             Ok(from_run(controller, scenario, &controller.evaluate(&rule, scenario)?))
         })
@@ -89,7 +122,7 @@ impl Property {
     /// [`Scenarios::line_of_five`](super::Scenarios::line_of_five).
     #[must_use]
     pub fn string_stability() -> Self {
-        Self::new("string stability", |controller, scenario| {
+        Self::with_preconditions("string stability", |controller, scenario| {
             let result = controller.simulate(scenario)?;
             if !result.outcome.is_safe() {
                 return Ok(PropertyVerdict::Violated("vehicles of the line collide".to_owned()));
@@ -115,7 +148,7 @@ impl Property {
     /// No larger jerk of a vehicle under test, in m/s³, as [`peak_jerk_mps3`] measures it.
     #[must_use]
     pub fn bounded_jerk(max_mps3: f64) -> Self {
-        Self::new(format!("jerk of at most {max_mps3} m/s³"), move |controller, scenario| {
+        Self::with_preconditions(format!("jerk of at most {max_mps3} m/s³"), move |controller, scenario| {
             let result = controller.simulate(scenario)?;
             let trace = result.trace.as_ref().ok_or(SpecificationError::NoTrace)?;
             let under_test = trace.vehicles.iter().enumerate().filter(|(index, _)| scenario.is_under_test(*index));
@@ -129,15 +162,16 @@ impl Property {
         })
     }
 
-    /// A specification: `no contact`, a driving rule, or a formula of signal temporal logic
-    /// ([`Specification::parse`]). A scenario without the signals of the formula does not test it.
+    /// A specification: `no collision`, a driving rule, or a formula of signal temporal logic
+    /// ([`Specification::parse`]). A scenario without the signals of the formula, or of a shorter duration, does not
+    /// test it.
     ///
     /// # Errors
     /// [`SpecificationError`] for text that does not parse.
     pub fn specification(text: &str) -> Result<Self, SpecificationError> {
         text.parse::<Specification>()?;
         let text = text.to_owned();
-        Ok(Self::new(text.clone(), move |controller, scenario| {
+        Ok(Self::with_preconditions(text.clone(), move |controller, scenario| {
             let verdict = controller.evaluate(&Specification::parse(&text, scenario)?, scenario)?;
             Ok(from_run(controller, scenario, &verdict))
         }))
@@ -147,7 +181,7 @@ impl Property {
     #[must_use]
     pub fn not_worse_than(reference: impl Into<ControllerKind>) -> Self {
         let kind = reference.into();
-        Self::new("no collision that the reference avoids", move |controller, scenario| {
+        Self::with_preconditions("no collision that the reference avoids", move |controller, scenario| {
             let reference = ControllerUnderTest { kind: kind.clone(), ..controller.clone() };
             differs(controller, scenario, "the reference avoids it", || {
                 reference.evaluate(&Specification::NoContact, scenario)
@@ -158,7 +192,7 @@ impl Property {
     /// No collision that disappears in a harder scenario: with less of a gap, less friction, or a later reaction.
     #[must_use]
     pub fn metamorphic(relation: MetamorphicRelation) -> Self {
-        Self::new(format!("{relation} makes nothing worse"), move |controller, scenario| {
+        Self::with_preconditions(format!("{relation} makes nothing worse"), move |controller, scenario| {
             let reason = format!("there is none {}", relation.describe_partner());
             let Some(partner) = relation.partner(scenario) else {
                 return Ok(PropertyVerdict::NotApplicable("the partner scenario would be invalid".to_owned()));
@@ -170,7 +204,7 @@ impl Property {
     /// Equal runs of a scenario, without a panic and with an answer to every observation.
     #[must_use]
     pub fn deterministic() -> Self {
-        Self::new("deterministic", |controller, scenario| {
+        Self::with_preconditions("deterministic", |controller, scenario| {
             let [first, second] = [controller.simulate(scenario)?, controller.simulate(scenario)?];
             Ok(failure_of(&first)
                 .unwrap_or_else(|| violated_if(first != second, || "two runs of the scenario differ".to_owned())))
@@ -188,13 +222,23 @@ impl Property {
     pub fn evaluate(&self, controller: &ControllerUnderTest, scenario: &Scenario) -> PropertyVerdict {
         match catch_unwind(AssertUnwindSafe(|| (self.evaluate)(controller, &controller.adapt(scenario)))) {
             Ok(Ok(verdict)) => verdict,
-            Ok(Err(error)) => PropertyVerdict::NotApplicable(error.to_string()),
+            Ok(Err(error)) => PropertyVerdict::Violated(format!("the property ends with an error: {error}")),
             Err(panic) => {
                 let message = panic_message(panic.as_ref());
                 PropertyVerdict::Violated(format!("the controller or the property panics: {message}"))
             }
         }
     }
+}
+
+/// Returns true if the controller or the property is not made for the scenario.
+fn is_unmet_precondition(error: &SpecificationError) -> bool {
+    matches!(
+        error,
+        SpecificationError::UnknownSignal { .. }
+            | SpecificationError::HorizonTooLong { .. }
+            | SpecificationError::Run(RunError::MissingNeighbour { .. } | RunError::Shield { .. })
+    )
 }
 
 fn violated_if(condition: bool, finding: impl FnOnce() -> String) -> PropertyVerdict {

@@ -4,8 +4,12 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 
+use crumple_testing::world::measure::SpecificationError;
 use crumple_testing::world::observation::{EstimatorKind, Observation};
-use crumple_testing::{CheckError, MetamorphicRelation, Property, PropertyFailure, Scenarios, check, stateless};
+use crumple_testing::world::scenario::Scenario;
+use crumple_testing::{
+    CheckError, MetamorphicRelation, Property, PropertyFailure, PropertyVerdict, Scenarios, check, stateless,
+};
 
 /// The Intelligent Driver Model, with up to 9 m/s² of braking.
 fn sound(seen: &Observation) -> f64 {
@@ -52,6 +56,35 @@ fn no_scenario_and_failures_that_do_not_recur_are_reported() {
     let text = failure.to_string();
     assert!(text.contains("fails at 0.00 s; this does not recur") && !text.contains("replay"), "{text}");
     assert_eq!(folder.path().read_dir().unwrap().count(), 0);
+}
+
+/// A property with an error in 99 of 100 scenarios fails the test. Only the property itself decides where it does not
+/// apply: such scenarios are counted, and at least one must test it, also in a corpus.
+#[test]
+fn an_error_of_a_property_fails_the_test() {
+    let folder = tempfile::tempdir().unwrap();
+    let test = |property| check(stateless(sound)).on("alone").corpus(folder.path()).cases(300).property(property);
+    let is_evaluated = |scenario: &Scenario| scenario.spec().seed.is_multiple_of(100);
+    let skips = Property::new("skips most", move |_, scenario| match is_evaluated(scenario) {
+        true => Ok(PropertyVerdict::Holds),
+        false => Ok(PropertyVerdict::NotApplicable("not evaluated".to_owned())),
+    });
+    let summary = test(skips.clone()).run().unwrap();
+    assert!((290..300).contains(&summary.not_applicable), "{summary:?}");
+    let fails = Property::new("fails in most", move |_, scenario| match is_evaluated(scenario) {
+        true => Ok(PropertyVerdict::Holds),
+        false => Err(SpecificationError::NoTrace),
+    });
+    let Err(CheckError::Violated(failure)) = test(fails).run() else { panic!("errors pass") };
+    assert_eq!(failure.finding, "the property ends with an error: the run has no trace");
+    assert!(failure.count.starts_with(&format!("{} of 300 cases", summary.not_applicable)), "{}", failure.count);
+    // The corpus now has a scenario.
+    assert!(
+        matches!(test(skips).cases(0).run(), Err(CheckError::NotTested { reason, .. }) if reason == "not evaluated")
+    );
+    let of_five = Property::specification("always v5.speed_mps >= 0").unwrap();
+    let with_fewer = check(stateless(sound)).cases(100).property(of_five).run().unwrap().not_applicable;
+    assert!((1..100).contains(&with_fewer), "{with_fewer}");
 }
 
 /// A panic of a property is a finding, and its name one line. Only formulas that parse are properties.

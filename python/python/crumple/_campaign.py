@@ -13,9 +13,13 @@ from crumple._controller import as_controller
 from crumple._crumple import Figure, Scenario, Simulation
 from crumple._crumple import compare as _compare
 from crumple._crumple import falsify as _falsify
+from crumple._numbers import MAX_SEED, whole_number
 from crumple._search import SearchMethod
 from crumple._simulate import ControllerLike, Progress, SpaceLike, simulate
 from crumple._simulate import space as find_space
+from crumple.errors import CampaignError
+
+_MAX_BUDGET = 1_000_000_000
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,7 @@ def falsify(
     controller: ControllerLike,
     space: SpaceLike = "high-risk",
     *,
-    spec: str = "no contact",
+    spec: str = "no collision",
     against: ControllerLike | None = None,
     method: str | SearchMethod = "auto",
     aim: str = "severest",
@@ -82,8 +86,10 @@ def falsify(
 
     ``folder`` is the run folder, as on the command line, and ``resume`` continues it; a controller in Python then needs
     an identity. ``progress`` is called with the numbers of completed evaluations, of all evaluations, and of failures.
-    An exception in it, and Ctrl-C, end the search.
+    An exception in it, and Ctrl-C, end the search. ``budget`` is 1 to 1 000 000 000.
     """
+    budget = whole_number("budget", budget, 1, _MAX_BUDGET, CampaignError)
+    seed = whole_number("seed", seed, 0, MAX_SEED, CampaignError)
     if folder is None:
         with tempfile.TemporaryDirectory(prefix="crumple-") as temporary:
             return falsify(
@@ -116,7 +122,8 @@ def falsify(
         resume,
         progress,
     )
-    after_contact: Literal["stop", "continue"] = "stop" if summary["specification"] == "no contact" else "continue"
+    stops = summary["specification"] in ("no collision", "no contact")  # the second one up to version 0.3.0
+    after_contact: Literal["stop", "continue"] = "stop" if stops else "continue"
     failures = [
         Failure(Scenario.load(Path(folder) / found["file"]), found["kind"], found, controller, estimator, after_contact)
         for found in summary["counterexamples"]
@@ -143,7 +150,7 @@ def compare(
     *,
     methods: Sequence[str | SearchMethod],
     seeds: int = 30,
-    spec: str = "no contact",
+    spec: str = "no collision",
     against: ControllerLike | None = None,
     budget: int = 2000,
     seed: int = 0,
@@ -152,8 +159,11 @@ def compare(
 ) -> Comparison:
     """Compares search methods on the same seeds, as ``crumple falsify --compare`` does.
 
-    Each method runs with each seed up to its first failure, with at most ``budget`` simulations.
+    Each method runs with each of 1 to 1000 seeds up to its first failure, with at most ``budget`` simulations.
     """
+    seeds = whole_number("seeds", seeds, 1, 1000, CampaignError)
+    budget = whole_number("budget", budget, 1, _MAX_BUDGET, CampaignError)
+    seed = whole_number("seed", seed, 0, MAX_SEED, CampaignError)
     reference = None if against is None else as_controller(against)
     resolved, found = as_controller(controller), find_space(space)
     compared = _compare(resolved, found, spec, reference, list(methods), seeds, budget, seed, estimator, progress)

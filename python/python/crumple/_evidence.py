@@ -15,10 +15,11 @@ from crumple._crumple import Assessment, Figure, Scenario, Simulation
 from crumple._crumple import assess as _assess
 from crumple._crumple import rate as _rate
 from crumple._crumple import worst_case as _worst_case
+from crumple._numbers import whole_number
 from crumple._simulate import ControllerLike, Progress, ScenarioLike, SpaceLike, simulate
 from crumple._simulate import scenario as find_scenario
 from crumple._simulate import space as find_space
-from crumple.errors import AssessmentError
+from crumple.errors import AssessmentError, RateError, RunError
 
 
 @dataclass(frozen=True)
@@ -68,8 +69,10 @@ def rate(
 
     With ``against`` both controllers run the same scenarios, and the claim is that the first one fails less often. A
     controller in Python needs an identity, to which the certificate refers. ``folder`` is the run folder with
-    registration, progress and certificate, and ``resume`` continues it.
+    registration, progress and certificate, and ``resume`` continues it. ``runs`` is 1 to 1 000 000 000.
     """
+    runs = whole_number("runs", runs, 1, 1_000_000_000, RateError)
+    seed = whole_number("seed", seed, 0, 2**64 - 1, RateError)
     if folder is None:
         with tempfile.TemporaryDirectory(prefix="crumple-") as temporary:
             return rate(
@@ -139,8 +142,9 @@ def worst_case(
     """Searches for a braking profile of the leader that causes a collision, as ``crumple worst-case`` does.
 
     ``max_brake_mps2`` is the leader's hardest braking (its maximum on this road if None), ``jerk_mps3`` its largest
-    jerk, ``budget`` the approximate number of simulations.
+    jerk, ``budget`` the approximate number of simulations (1 to 10 000 000).
     """
+    budget = whole_number("budget", budget, 1, 10_000_000, RunError)
     resolved_scenario, resolved_controller = find_scenario(scenario), as_controller(controller)
     found, facts = _worst_case(
         resolved_scenario, resolved_controller, aim, estimator, max_brake_mps2, jerk_mps3, budget, progress

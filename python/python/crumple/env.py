@@ -19,6 +19,7 @@ from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from crumple._crumple import Episodes
+from crumple._numbers import whole_number
 from crumple._renderer import EpisodeRenderer
 from crumple._simulate import SpaceLike, space
 from crumple.errors import TrainingError
@@ -106,7 +107,7 @@ class PlatoonEnv(gymnasium.Env[State, NDArray[np.float32]]):
         super().reset(seed=seed)
         if seed is None and not self._is_seeded:
             seed = int(self.np_random.integers(2**63))
-        seeds = None if seed is None else [_parse_seed(seed)]
+        seeds = [None if seed is None else _parse_seed(seed)]
         self._episodes.reset(seeds, np.ones(1, np.bool_), self._buffers.states)
         self._is_seeded = True
         if self._renderer is not None:
@@ -157,13 +158,14 @@ class PlatoonVectorEnv(VectorEnv[State, NDArray[np.float32], NDArray[Any]]):
         copy: bool = True,
     ) -> None:
         mode = AutoresetMode(autoreset_mode)
+        num_envs = whole_number("num_envs", num_envs, 1, 2**20, TrainingError)
         self.num_envs = num_envs
         self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self._episodes = _make_episodes(num_envs, space, preset, estimator, _AUTORESET_NAMES[mode])
         self._buffers = _StepBuffers(num_envs, self._episodes.state_width)
         self._autoreset_mode = mode
         self._copy = copy
-        self._is_seeded = False
+        self._is_seeded = np.zeros(num_envs, np.bool_)
         self.single_observation_space, self.single_action_space = _make_spaces(self._episodes)
         self.observation_space = batch_space(self.single_observation_space, num_envs)
         self.action_space = batch_space(self.single_action_space, num_envs)
@@ -175,7 +177,8 @@ class PlatoonVectorEnv(VectorEnv[State, NDArray[np.float32], NDArray[Any]]):
     ) -> tuple[State, dict[str, Any]]:
         """Starts episodes in every environment, or in those of ``options["reset_mask"]``.
 
-        ``seed`` is a list with a seed for each environment, or a number to which environment i adds i.
+        ``seed`` is a list with a seed for each environment, or a number to which environment i adds i. An environment
+        without a seed, or with the seed None, continues its sequence of scenarios; its first one is random.
         """
         mask = np.ones(self.num_envs, np.bool_)
         if options is not None and "reset_mask" in options:
@@ -183,17 +186,20 @@ class PlatoonVectorEnv(VectorEnv[State, NDArray[np.float32], NDArray[Any]]):
             if mask.dtype != np.bool_ or mask.shape != (self.num_envs,):
                 expected = f"an array of bool of shape ({self.num_envs},)"
                 raise TrainingError(f"reset_mask is {expected}, found {mask.dtype} of shape {mask.shape}")
-        if seed is None and not self._is_seeded:
-            seed = int(self.np_random.integers(2**62))
-        seeds: list[int] | None = None
+        seeds: list[int | None] = [None] * self.num_envs
         if isinstance(seed, Sequence | np.ndarray) and not isinstance(seed, str | bytes):
-            seeds = [_parse_seed(one) for one in seed]
+            seeds = [None if one is None else _parse_seed(one) for one in seed]
             if len(seeds) != self.num_envs:
                 raise TrainingError(f"there are {self.num_envs} environments, and {len(seeds)} seeds")
         elif seed is not None:
             seeds = [_parse_seed(seed, index) for index in range(self.num_envs)]
+        unseeded = [index for index in np.flatnonzero(mask & ~self._is_seeded) if seeds[index] is None]
+        if unseeded:
+            first = int(self.np_random.integers(2**62))
+            for index in unseeded:
+                seeds[index] = first + int(index)
         self._episodes.reset(seeds, mask, self._buffers.states)
-        self._is_seeded = True
+        self._is_seeded |= mask
         return self._output(self._buffers.states), {}
 
     def step(

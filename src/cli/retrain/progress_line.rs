@@ -6,6 +6,7 @@ use indicatif::ProgressBar;
 
 use super::super::progress;
 use crumple_learn::retrain::RetrainingProgress;
+use crumple_search::falsify::campaign::ExaminationStep;
 
 /// Progress on a terminal, with the time left of the present step.
 pub(super) struct ProgressLine<'a> {
@@ -27,8 +28,11 @@ impl ProgressLine<'_> {
                 (round, "draws", None, format!("simulating {draws} random scenarios, classifying collisions"))
             }
             RetrainingProgress::Searching { round, space, space_index: [index, spaces], progress: state } => {
-                let part = share(state.evaluations, state.total).map(|part| (*index as f64 + part) / *spaces as f64);
-                let method = state.method.as_ref().map_or("replay and classification".to_owned(), ToString::to_string);
+                // The time of an examination is not known.
+                let part = state.method.as_ref().and(share(state.evaluations, state.total));
+                let part = part.map(|part| (*index as f64 + part) / *spaces as f64);
+                let examination = state.examination.map_or("writing the results", ExaminationStep::describe);
+                let method = state.method.as_ref().map_or(examination.to_owned(), ToString::to_string);
                 let (done, total, failures) = (state.evaluations, state.total, state.failures);
                 (round, "search", part, format!("{method} in {space}, {done} of {total} runs, {failures} failures"))
             }

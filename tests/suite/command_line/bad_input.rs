@@ -114,7 +114,11 @@ fn arguments_that_make_no_sense_are_named() {
         ("simulate paper-1 --dt nan", "error: invalid value 'nan' for '--dt <S>': must be a positive"),
         ("simulate paper-1 --dt 1e-9", "error: paper-1: an integration step of 0.000000001 s makes"),
         ("simulate paper-1 --dt fast", "error: invalid value 'fast' for '--dt <S>'"),
-        ("simulate paper-1 --seed 9223372036854775808", "error: --seed: seed: must be at most"),
+        (
+            "simulate paper-1 --seed 9223372036854775808",
+            "error: invalid value '9223372036854775808' for '--seed <N>': must be a whole number from 0 to \
+             9223372036854775807",
+        ),
         ("simulate paper-1 --seed 99999999999999999999", "error: invalid value '99999999999999999999'"),
         ("simulate paper-1 --seed -1", "error: invalid value '-1' for '--seed <N>'"),
         ("simulate paper-1 --trace t.txt", "error: invalid value 't.txt' for '--trace"),
@@ -132,7 +136,26 @@ fn arguments_that_make_no_sense_are_named() {
         ("worst-case paper-1 --controller idm --max-brake 0", "error: --max-brake: an envelope of 0 m/s²"),
         ("worst-case paper-1 --controller idm --jerk nan", "error: --jerk: must be above 0, found NaN"),
         ("worst-case paper-1 --controller idm --jerk -1", "error: --jerk: must be above 0, found -1"),
-        ("verify rate --controller idm --runs 0", "error: --runs: must be from 1 to 1000000000"),
+        (
+            "verify rate --controller idm --runs 0",
+            "error: invalid value '0' for '--runs <N>': must be a whole number from 1 to 1000000000",
+        ),
+        (
+            "falsify --controller idm --budget ten",
+            "error: invalid value 'ten' for '--budget <N>': must be a whole number from 1 to 1000000000",
+        ),
+        (
+            "verify rate --controller idm --runs 1e6",
+            "error: invalid value '1e6' for '--runs <N>': must be a whole number",
+        ),
+        (
+            "worst-case paper-1 --controller idm --jerk ten",
+            "error: invalid value 'ten' for '--jerk <J>': must be a number",
+        ),
+        (
+            "verify reach --depth deep",
+            "error: invalid value 'deep' for '--depth <N>': must be a whole number from 0 to 40",
+        ),
         (
             "verify rate --controller idm --rate-below 1e-300",
             "error: --rate-below: a rate of 1e-300 with 0 failures would take more than",

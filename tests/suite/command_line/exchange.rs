@@ -176,3 +176,50 @@ fn exports_of_counterexamples_have_the_recorded_controller() {
     fs::write(&record, text.replace("\"match-leader\"", "\"gone.toml\"")).unwrap();
     assert_refused(&export(&file, ""), "the record names the controller `gone.toml`: ");
 }
+
+/// A campaign records the path of a controller as the user gave it, from the folder of the command. With the hash of
+/// its files, the controller is also found above the record; without, from the folder of the command only.
+#[test]
+fn exports_of_counterexamples_find_the_file_of_an_own_controller() {
+    let folder = temp_folder();
+    fs::create_dir(folder.path().join("own")).unwrap();
+    fs::write(folder.path().join("own/constant.sh"), CONSTANT_PROCESS).unwrap();
+    let controller = "version = 1\ncommand = [\"sh\", \"constant.sh\"]\n";
+    for (name, files) in [("plain", ""), ("listed", "files = [\"constant.sh\"]\n")] {
+        fs::write(folder.path().join(format!("own/{name}.toml")), format!("{controller}{files}")).unwrap();
+        run_ok(folder.path(), &format!("falsify --controller own/{name}.toml --budget 5 --out runs/{name}"));
+        let found = folder.path().join(format!("runs/{name}/counterexamples"));
+        let file = file_names_in(&found).into_iter().find(|name| name.contains("-hits-")).expect("a collision");
+        let export = |from: &Path, file: &str, more: &str| {
+            run_crumple(from, &format!("export {file} --to openscenario --out x {more}"))
+        };
+        let in_campaign = format!("runs/{name}/counterexamples/{file}");
+        assert_refused(&export(folder.path(), &in_campaign, ""), "--allow-external");
+        let done = export(folder.path(), &in_campaign, "--allow-external");
+        assert!(stdout(&done).contains(&format!("under own/{name}.toml, estimator kalman")), "{done:?}");
+        let elsewhere = export(&found, &file, "--allow-external");
+        match name {
+            "listed" => assert_eq!(exit_code(&elsewhere), 0, "{elsewhere:?}"),
+            _ => assert_refused(&elsewhere, "own/plain.toml`: there is no such file in "),
+        }
+    }
+    run_ok(folder.path(), "falsify --controller 'exec:sh own/constant.sh' --budget 5 --out runs/exec");
+    let found = file_names_in(&folder.path().join("runs/exec/counterexamples"));
+    let file = found.iter().find(|name| name.contains("-hits-")).expect("a collision");
+    run_ok(
+        folder.path(),
+        &format!("export runs/exec/counterexamples/{file} --to openscenario --out x --allow-external"),
+    );
+}
+
+/// A process that never accelerates or brakes.
+const CONSTANT_PROCESS: &str = r#"while read -r line; do
+    id=${line#'{"id":'}
+    id=${id%%,*}
+    case $line in
+        *hello*) echo '{"crumple":1,"name":"constant","deterministic":true}' ;;
+        *reset*) echo "{\"id\":$id,\"ready\":true}" ;;
+        *) echo "{\"id\":$id,\"acceleration_mps2\":0.0}" ;;
+    esac
+done
+"#;

@@ -32,7 +32,7 @@ fn a_json_summary_assigns_numbers_to_methods() {
 #[test]
 fn a_search_may_be_expected_to_find_a_failure_or_nothing() {
     let folder = temp_folder();
-    let (hits, drives_on) = ("no contact", "always v1.speed_mps >= 0");
+    let (hits, drives_on) = ("no collision", "always v1.speed_mps >= 0");
     let cases = [
         (hits, "failure", 0, ""),
         (hits, "nothing", 1, "gate: expected no failure, but found "),
@@ -249,7 +249,7 @@ fn mistakes_are_reported_before_anything_is_written() {
     assert!(falsify("--spec 'always v1.gap_m >'").contains("--spec: column 18"));
     for misspelt in ["no amplificaton", "imposed braking at most 4", "imposed braking at most -4 m/s2"] {
         let found = falsify(&format!("--spec '{misspelt}'"));
-        assert!(found.contains("`no amplification`") && found.contains("`no contact`"), "{misspelt}: {found}");
+        assert!(found.contains("`no amplification`") && found.contains("`no collision`"), "{misspelt}: {found}");
     }
     let unknown = falsify("--spec 'always v7.gap_m > 0'");
     let expected = "--spec: column 8: there is no signal `v7.gap_m`; there are: v0.position_m";

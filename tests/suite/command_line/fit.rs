@@ -100,7 +100,7 @@ fn unsuitable_data_are_refused() {
         &fit("enough.csv", "--vehicles 3"),
         "found 0 episodes of 3 vehicles, and 28 are needed; 20 have fewer vehicles",
     );
-    assert_refused(&fit("enough.csv", "--vehicles 6"), "6 is not in 2..=5");
+    assert_refused(&fit("enough.csv", "--vehicles 6"), "must be a whole number from 2 to 5");
     assert_refused(&fit("enough.csv", "--min-brake -1"), "--min-brake");
     assert_refused(&fit("enough.csv", "--min-brake 12"), "min_brake: must be below 12 m/s²");
     assert_refused(&fit("enough.csv", "--name ''"), "name: must have 1 to 100 characters");

@@ -176,7 +176,7 @@ fn options_reach_the_simulation() {
     let noisy = |seed: u64| run(&format!("--controller match-leader --seed {seed}"))["vehicles"].clone();
     assert_ne!(noisy(7), noisy(8), "noise is another");
     assert_eq!(noisy(7), noisy(7), "one seed decides everything");
-    let arguments = "simulate paper-3 --estimator truth --after-contact continue --format json";
+    let arguments = "simulate paper-3 --estimator truth --after-collision continue --format json";
     let pile_up = json_objects(&run_crumple(folder.path(), arguments)).remove(0);
     assert_eq!(pile_up["impacts"].as_array().unwrap().len(), 4);
     assert_eq!(pile_up["vehicles_involved"], 5);
@@ -227,6 +227,61 @@ fn unnecessary_braking_is_reported_and_decides_usefulness() {
     assert_eq!(exit_code(&contact), 1, "a contact is no use either");
 }
 
+/// A folder is a table: one line for each scenario, and a total by kind of collision, in both formats.
+#[test]
+fn a_folder_has_a_line_for_each_scenario_and_a_total() {
+    let folder = temp_folder();
+    fs::create_dir(folder.path().join("all")).unwrap();
+    for name in PAPER_SCENARIOS {
+        let shown = run_ok(folder.path(), &format!("show {name}"));
+        fs::write(folder.path().join(format!("all/{name}.toml")), stdout(&shown)).unwrap();
+    }
+    let open = "version = 1\nname = \"open\"\nduration_s = 2.0\n\
+        [[vehicles]]\nclass = \"light\"\nposition_m = 200.0\nspeed_mps = 20.0\ndriver = \"constant-speed\"\n\
+        [[vehicles]]\nclass = \"light\"\nposition_m = 10.0\nspeed_mps = 20.0\ndriver = \"under-test\"\n";
+    fs::write(folder.path().join("all/open.toml"), open).unwrap();
+    let stopped = open.replace("position_m = 200.0\nspeed_mps = 20.0", "position_m = 30.0\nspeed_mps = 0.0");
+    let stopped = stopped.replace("\"open\"", "\"stopped\"");
+    fs::write(folder.path().join("all/stopped.toml"), stopped).unwrap();
+
+    let arguments = "simulate all --estimator truth --spec 'always v1.gap_m > 60'";
+    let lines: Vec<_> = stdout(&run_ok(folder.path(), arguments)).lines().map(str::to_owned).collect();
+    assert!(lines[0].starts_with("open: no collision, smallest gap 1"), "{lines:#?}");
+    assert!(lines[1].starts_with("paper-1: COLLISION at ") && lines[1].contains("vehicle 2 hits vehicle 1 at "));
+    assert!(lines[4].starts_with("stopped: ") && lines[4].contains("vehicle 1 hits vehicle 0"), "{lines:#?}");
+    assert!(lines[4].contains("; VIOLATED, robustness -") && !lines[0].contains("VIOLATED"), "{lines:#?}");
+    let total = [
+        "total of 5 scenarios: baseline, estimator truth",
+        "      1 of 5  no collision",
+        "      2 of 5  COLLISION: the ego vehicle hits its leader",
+        "      2 of 5  COLLISION: the ego vehicle is hit from behind",
+        "      2 of 5  unnecessary braking",
+        "      4 of 5  VIOLATED: a specification",
+    ];
+    assert_eq!(lines[5..], total);
+
+    let reports = json_objects(&run_ok(folder.path(), &format!("{arguments} --format json")));
+    assert_eq!((reports.len(), &reports[0]["scenario"]), (6, &json!("open")));
+    let expected = json!({
+        "scenarios": 5, "no_collision": 1, "ego_hits_leader": 2, "ego_hit_from_behind": 2, "others_collide": 0,
+        "controller_failed": 0, "brakes_unnecessarily": 2, "fell_behind": 0, "violated": 4,
+    });
+    assert_eq!(reports[5]["total"], expected);
+    let details = run_ok(folder.path(), "simulate all --details");
+    assert!(stdout(&details).lines().count() > 30 && stdout(&details).contains("total of 5 scenarios: baseline"));
+}
+
+/// `--after-contact` is the name of version 0.3.0.
+#[test]
+fn the_earlier_name_of_after_collision_is_still_accepted() {
+    let folder = temp_folder();
+    let run = |option: &str| run_ok(folder.path(), &format!("simulate paper-3 {option} continue --format json"));
+    assert_eq!(run("--after-contact").stdout, run("--after-collision").stdout);
+    let earlier = run_ok(folder.path(), "simulate paper-1 --spec 'no contact'");
+    assert_eq!(earlier.stdout, run_ok(folder.path(), "simulate paper-1 --spec 'no collision'").stdout);
+    assert!(stdout(&earlier).contains("VIOLATED, robustness ") && stdout(&earlier).contains(": no collision\n"));
+}
+
 /// One row for each sample and vehicle: every step up to the collision, and the collision itself.
 #[test]
 fn traces_have_one_row_a_sample_and_vehicle() {
@@ -234,7 +289,7 @@ fn traces_have_one_row_a_sample_and_vehicle() {
     for (after_contact, samples) in [("stop", None), ("continue", Some(1501))] {
         let mut reports = Vec::new();
         for file in TRACES {
-            let arguments = format!("simulate paper-1 --after-contact {after_contact} --trace {file} --format json");
+            let arguments = format!("simulate paper-1 --after-collision {after_contact} --trace {file} --format json");
             reports = json_objects(&run_ok(folder.path(), &arguments));
         }
         let contact_s = reports[0]["outcome"]["time_s"].as_f64().unwrap();
@@ -313,7 +368,15 @@ fn list_names_all_inputs_of_simulate() {
     for name in PAPER_SCENARIOS.into_iter().chain(controllers.iter().map(ControllerSpec::name)) {
         assert!(stdout(&all).lines().any(|line| line.split_whitespace().next() == Some(name)), "{name}");
     }
+    let long: Vec<_> = stdout(&all).lines().filter(|line| line.chars().count() > 100).collect();
+    assert!(long.is_empty(), "wrapped in a pipe: {long:?}");
     let listed = &json_objects(&run_crumple(folder.path(), "list --format json"))[0];
+    let words = |text: &str| text.split_whitespace().collect::<String>();
+    for entry in ["scenarios", "controllers", "spaces", "methods"].iter().flat_map(|of| listed[of].as_array().unwrap())
+    {
+        let (name, summary) = (entry["name"].as_str().unwrap(), entry["summary"].as_str().unwrap());
+        assert!(words(stdout(&all)).contains(&words(&format!("{name}{summary}"))), "nothing is left out: {name}");
+    }
     for controller in listed["controllers"].as_array().unwrap() {
         let name = controller["name"].as_str().unwrap();
         let output = run_crumple(folder.path(), &format!("simulate paper-1 --controller {name}"));

@@ -26,7 +26,7 @@ fn a_project_has_its_name_and_never_replaces_anything() {
         ("taken", "exists"),
         ("Upper", "not the name of a project"),
         ("..", "not the name of a project"),
-        ("fn", "not the name of a project"),
+        ("fn", "not the name of a project: it is a keyword of Rust"),
         ("'a\nb'", "not the name of a project"),
         ("fine --crumple .", "not a folder with the source of crumple"),
     ] {
@@ -34,6 +34,65 @@ fn a_project_has_its_name_and_never_replaces_anything() {
     }
     assert!(!folder.path().join("fine").exists());
     assert!(!stdout(&run_ok(folder.path(), "new --help")).contains("--allow-external"));
+}
+
+/// Names of keywords, modules and folders would break the build, each in its template only.
+#[test]
+fn names_that_cannot_be_built_are_refused() {
+    let folder = temp_folder();
+    for (name, template, reason) in [
+        ("build", "rust", "a folder that Cargo needs"),
+        ("incremental", "rust", "a folder that Cargo needs"),
+        ("true", "rust", "a keyword of Rust"),
+        ("proc-macro", "rust", "a crate of Rust's standard library"),
+        ("f64", "rust", "a type of Rust"),
+        ("libfuzzer-sys", "rust", "a crate of the fuzz target"),
+        ("crumple-world", "rust", "begin with crumple"),
+        ("brake-", "python", "do not end with -"),
+        ("logging", "python", "a module of Python's standard library"),
+        ("sre-parse", "python", "a module of Python's standard library"),
+        ("lambda", "python", "a keyword of Python"),
+        ("packaging", "python", "a module that pip, the tests or crumple import"),
+        ("makefile", "c", "a file that `make` reads"),
+        ("nul", "c", "a device of Windows"),
+    ] {
+        let refused = run_crumple(folder.path(), &format!("new {name} --template {template}"));
+        assert_refused(&refused, &format!("{name}: is not the name of a project"));
+        assert!(stderr(&refused).contains(reason), "{}", stderr(&refused));
+    }
+    assert!(file_names_in(folder.path()).is_empty());
+    for (name, template) in [("logging", "rust"), ("deps", "python"), ("build", "c")] {
+        run_ok(folder.path(), &format!("new {name} --template {template}"));
+    }
+}
+
+/// The project names the release that created it, and the path of `--crumple` as it is. Only tests use the harness.
+#[test]
+fn a_project_depends_on_one_version_and_its_controller_on_no_test_harness() {
+    let folder = temp_folder();
+    let read = |file: &str| fs::read_to_string(folder.path().join(file)).unwrap();
+    let tag = concat!("v", env!("CARGO_PKG_VERSION"));
+    run_ok(folder.path(), "new aeb");
+    let manifest: toml::Table = read("aeb/Cargo.toml").parse().unwrap();
+    for (section, package) in [("dependencies", "crumple-world"), ("dev-dependencies", "crumple-testing")] {
+        let dependencies = manifest[section].as_table().unwrap();
+        assert!(dependencies.len() == 1 && dependencies[package]["tag"].as_str() == Some(tag), "{dependencies:?}");
+    }
+    let workflow = read("aeb/.github/workflows/tests.yml");
+    assert_contains(&workflow, &["permissions:\n  contents: read\n", &format!(" --tag {tag} crumple\n")]);
+    run_ok(folder.path(), "new aeb-python --template python");
+    assert_contains(&read("aeb-python/pyproject.toml"), &[&format!("crumple-rs/crumple@{tag}#subdirectory=python")]);
+
+    let source = "my-controller's my_controller #1";
+    fs::create_dir_all(folder.path().join(source).join("crates/testing")).unwrap();
+    let path = folder.path().canonicalize().unwrap().join(source);
+    run_ok(folder.path(), &format!("new acc --crumple \"{source}\""));
+    let manifest: toml::Table = read("acc/Cargo.toml").parse().unwrap();
+    let world = manifest["dependencies"]["crumple-world"]["path"].as_str().unwrap();
+    assert_eq!(Path::new(world), path.join("crates/world"));
+    run_ok(folder.path(), &format!("new acc-python --template python --crumple \"{source}\""));
+    let expected = "/my-controller%27s%20my_controller%20%231/python\"";
+    assert_contains(&read("acc-python/pyproject.toml"), &["crumple @ file:///", expected]);
 }
 
 fn all_files(folder: &Path) -> BTreeSet<std::path::PathBuf> {

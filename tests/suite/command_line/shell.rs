@@ -31,6 +31,66 @@ fn pages_and_completions_know_every_command() {
     assert_refused(&run_crumple(folder.path(), "completions tcsh"), "invalid value 'tcsh'");
 }
 
+/// Completions offer the built-in names; the program and the scripts still take files.
+#[test]
+fn completions_have_the_built_in_names() {
+    let folder = temp_folder();
+    let bash = run_ok(folder.path(), "completions bash");
+    fs::write(folder.path().join("crumple.bash"), stdout(&bash)).unwrap();
+    let complete = |words: &str| {
+        let script = format!(
+            ". ./crumple.bash; COMP_WORDS=(crumple {words}); COMP_CWORD=$((${{#COMP_WORDS[@]}} - 1)); _crumple crumple \
+             \"${{COMP_WORDS[COMP_CWORD]}}\" \"${{COMP_WORDS[COMP_CWORD - 1]}}\"; echo \"${{COMPREPLY[@]}}\""
+        );
+        let output = Command::new("bash").args(["-c", &script]).current_dir(folder.path()).output().unwrap();
+        stdout(&output).trim().to_owned()
+    };
+    for (words, expected) in [
+        ("falsify --controller base", "baseline baseline-unlatched"),
+        ("falsify --against retr", "retrained"),
+        ("falsify --space high", "high-risk high-risk-human"),
+        ("falsify --method cma", "cma-es"),
+        ("verify rate --space traf", "traffic traffic-human"),
+        ("suite run un-r152 --controller fuz", "fuzzy-safety"),
+        ("simulate pap", "paper-1 paper-2 paper-3"),
+        ("check proof.json --scenario pap", "paper-1 paper-2 paper-3"),
+        // The option `-o default` of `complete` then offers files.
+        ("simulate paper-1 --controller my-", ""),
+    ] {
+        assert_eq!(complete(words), expected, "{words}");
+    }
+    assert!(stdout(&bash).contains("-o default crumple"));
+    for (shell, parts) in [
+        ("zsh", [":{compadd -- baseline baseline-unlatched ", " paper-3; _files}"]),
+        (
+            "fish",
+            [
+                " -r -F -a \"baseline\\t''\nbaseline-unlatched\\t''",
+                "-n \"__fish_crumple_using_subcommand simulate\" -a \"paper-1 paper-2 paper-3\"\n",
+            ],
+        ),
+    ] {
+        let script = run_ok(folder.path(), &format!("completions {shell}"));
+        assert_contains(stdout(&script), &parts);
+        for without_files in [" -r -f -a \"baseline", " -r -f -a \"paper", ":(baseline ", ":(paper"] {
+            assert!(!stdout(&script).contains(without_files), "{shell}: {without_files}");
+        }
+    }
+}
+
+/// Text for users calls it a collision, except for names in files of earlier versions.
+#[test]
+fn help_calls_a_collision_a_collision() {
+    let folder = temp_folder();
+    run_ok(folder.path(), "man --out man");
+    for page in file_names_in(&folder.path().join("man")) {
+        let text = fs::read_to_string(folder.path().join("man").join(&page)).unwrap().replace("\\-", "-");
+        let text = text.replace("no-contact-in-paper-scenarios", "");
+        let found: Vec<_> = text.lines().filter(|line| line.to_lowercase().contains("contact")).collect();
+        assert!(found.is_empty(), "{page}: {found:?}");
+    }
+}
+
 /// An empty `PATH` is no error.
 #[test]
 fn doctor_names_missing_programs() {

@@ -117,11 +117,11 @@ fn position_panel(figure: &MotionFigure<'_>, plan: &FigureLayout, axes: &MotionA
         let &Contact { time_s, impact_speed_mps, .. } = contact;
         let rear = trace.vehicles.get(contact.rear_vehicle);
         let place = rear.map_or(0.0, |rear| closeup::value_at(trace, &rear.position_m, time_s));
-        (format!("contact {} at {time_s:.2} s, {impact_speed_mps:.1} m/s", format_pair(contact)), place)
+        (format!("collision {} at {time_s:.2} s, {impact_speed_mps:.1} m/s", format_pair(contact)), place)
     });
     if let Some(focus) = find_focus(figure) {
         if !focus.is_contact {
-            add_caption(&mut panel, focus.time_s, "no contact", Ink::Muted, plan.labels_right);
+            add_caption(&mut panel, focus.time_s, "no collision", Ink::Muted, plan.labels_right);
         }
         closeup::add_inset(&mut panel, trace, &focus, closeup_id);
     }
@@ -187,7 +187,7 @@ fn speed_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -
     }
     mark_contacts(&mut panel, figure, frame.right() + 12.0, |contact| {
         let (rear, front) = (contact.rear_speed_mps, contact.front_speed_mps);
-        (format!("contact {}: {rear:.1} into {front:.1} m/s", format_pair(contact)), (rear + front) / 2.0)
+        (format!("collision {}: {rear:.1} into {front:.1} m/s", format_pair(contact)), (rear + front) / 2.0)
     });
     if tags.len() <= MAX_TAGGED_VEHICLES {
         panel.add_tags(&tags);
@@ -209,7 +209,7 @@ fn gap_panel(figure: &MotionFigure<'_>, frame: PixelRect, axes: &MotionAxes) -> 
     }
     let right = frame.right() + 12.0;
     mark_contacts(&mut panel, figure, right, |contact| {
-        (format!("contact {} at {:.2} s", format_pair(contact), contact.time_s), 0.0)
+        (format!("collision {} at {:.2} s", format_pair(contact), contact.time_s), 0.0)
     });
     if let Some(Focus { time_s, front, rear, gap_m, is_contact: false }) = find_focus(figure) {
         panel.add_markers(&[(time_s, gap_m)], Marker::Ring, Ink::Text);
@@ -289,7 +289,7 @@ fn description(figure: &MotionFigure<'_>) -> String {
     );
     let end = match (figure.impacts.first(), find_focus(figure)) {
         (Some(Impact { contact, .. }), _) => format!(
-            "First contact: vehicle {} hits vehicle {} at {:.2} s, {:.1} into {:.1} m/s. Impacts: {}.",
+            "First collision: vehicle {} hits vehicle {} at {:.2} s, {:.1} into {:.1} m/s. Impacts: {}.",
             contact.rear_vehicle,
             contact.front_vehicle,
             contact.time_s,
@@ -298,10 +298,10 @@ fn description(figure: &MotionFigure<'_>) -> String {
             figure.impacts.len()
         ),
         (None, Some(focus)) => format!(
-            "No contact; smallest gap {:.2} m between vehicles {} and {} at {:.2} s.",
+            "No collision; smallest gap {:.2} m between vehicles {} and {} at {:.2} s.",
             focus.gap_m, focus.front, focus.rear, focus.time_s
         ),
-        (None, None) => "No contact.".to_owned(),
+        (None, None) => "No collision.".to_owned(),
     };
     format!("{run} {end}")
 }

@@ -137,16 +137,16 @@ fn the_contact_is_written_and_drawn_in_every_panel() {
     let svg = draw_figure(&trace, &impacts, PanelArrangement::Wide);
     let document = svg.document();
     let impact_speed_mps = impacts[0].contact.impact_speed_mps;
-    let at = format!("contact 1\u{2013}2 at {:.2} s", impacts[0].contact.time_s);
+    let at = format!("collision 1\u{2013}2 at {:.2} s", impacts[0].contact.time_s);
     assert!(document.contains(&format!(">{at}, {impact_speed_mps:.1} m/s<")), "{document}");
-    assert!(document.contains(&format!(">{at}<")) && document.contains(">contact 1\u{2013}2: "));
+    assert!(document.contains(&format!(">{at}<")) && document.contains(">collision 1\u{2013}2: "));
     // One star per panel and one in the inset.
     let star = format!("Z\" fill=\"{}\"", Ink::Alert.hex());
     assert_eq!(document.matches(&star).count(), 4);
 
     let (trace, impacts) = simulate_line(&[false, false, true], None, AfterContact::Stop);
     let document = draw_figure(&trace, &impacts, PanelArrangement::Wide).document();
-    assert!(document.contains(">no contact<") && document.contains(">smallest gap "));
+    assert!(document.contains(">no collision<") && document.contains(">smallest gap "));
     assert!(!document.contains(Ink::Alert.hex()));
 }
 

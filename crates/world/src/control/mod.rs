@@ -84,9 +84,11 @@ mod process;
 mod r157_simple;
 mod reaction;
 mod rss;
+mod serve;
 mod shield;
 mod source;
 mod space_check;
+mod stateless;
 mod stress;
 
 pub use crate::observation::ObservedQuantity;
@@ -117,6 +119,7 @@ pub use process::{
 };
 pub use r157_simple::{R157Simple, R157SimpleSettings};
 pub use rss::{Rss, RssSettings};
+pub use serve::{ServingError, serve};
 pub use shield::{
     ErrorBounds, MIN_MARGIN_M, Real, RearVehicleParams, ShieldParams, ShieldSettings, ShieldState, ViabilityKernel,
     distance_and_speed_after, max_closing_m,
@@ -124,6 +127,7 @@ pub use shield::{
 pub(crate) use shield::{MAX_MARGIN_M, MotionBounds, Override, ShieldedController};
 pub(crate) use source::ZeroOrderHold;
 pub use source::{BatchController, ControllerFailure, ControllerSource, RequiredNeighbours};
+pub use stateless::{StatelessController, stateless};
 pub use stress::{FullThrottle, RandomActions};
 pub(crate) use with_controllers;
 

@@ -45,7 +45,7 @@ pub enum SpecificationError {
     /// A text that is neither a rule nor a formula with a comparison, such as a misspelt rule.
     #[error(
         "{formula}. Other specifications: `{}`, {}",
-        Specification::NO_CONTACT,
+        Specification::NO_COLLISION,
         DrivingRule::EXAMPLES.map(|rule| format!("`{rule}`")).join(", ")
     )]
     UnknownRule {
@@ -174,9 +174,11 @@ const MAX_PART_VALUES: usize = 20_000_000;
 
 impl Specification {
     /// Name of the default specification.
-    pub const NO_CONTACT: &str = "no contact";
+    pub const NO_COLLISION: &str = "no collision";
+    /// Name of the default specification up to version 0.3.0, which is still read.
+    pub const LEGACY_NO_COLLISION: &str = "no contact";
 
-    /// Parses `no contact`, a rule as in [`DrivingRule::EXAMPLES`], or a formula.
+    /// Parses `no collision`, a rule as in [`DrivingRule::EXAMPLES`], or a formula.
     ///
     /// # Errors
     /// [`SpecificationError`] for text that does not parse, names a signal that runs of `nominal` do not have, or
@@ -311,7 +313,7 @@ impl FromStr for Specification {
     type Err = SpecificationError;
 
     fn from_str(text: &str) -> Result<Self, SpecificationError> {
-        if text == Self::NO_CONTACT {
+        if [Self::NO_COLLISION, Self::LEGACY_NO_COLLISION].contains(&text) {
             return Ok(Self::NoContact);
         }
         if let Ok(conduct) = text.parse() {
@@ -327,7 +329,7 @@ impl FromStr for Specification {
 impl fmt::Display for Specification {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::NoContact => out.write_str(Self::NO_CONTACT),
+            Self::NoContact => out.write_str(Self::NO_COLLISION),
             Self::Formula(formula) => formula.fmt(out),
             Self::DrivingRule(conduct) => conduct.fmt(out),
         }

@@ -11,7 +11,9 @@ pub(crate) enum ChildProcess {}
 impl ChildProcess {
     pub(crate) fn start(_words: &[String], _found: Option<&Path>, _folder: &Path) -> Result<Self, ProcessProblem> {
         Err(ProcessProblem::NotStarted {
-            reason: "controllers that are processes need Unix and a build with the feature `process`".to_owned(),
+            reason: "controllers that are processes need Unix, and the feature `process` of crumple-world or \
+                     crumple-testing"
+                .to_owned(),
         })
     }
 

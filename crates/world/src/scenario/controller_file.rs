@@ -2,11 +2,13 @@
 //! accelerations.
 
 use std::collections::BTreeMap;
+use std::fmt;
 use std::fs;
 use std::io::ErrorKind;
 use std::path::Path;
 use std::sync::Arc;
 
+use serde::de::{Deserializer, Error, SeqAccess, Visitor};
 use serde::{Deserialize, Serialize};
 
 use super::file::{FileError, line_in_toml, parse_toml, read};
@@ -37,7 +39,7 @@ pub struct ControllerFile {
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub parameters: BTreeMap<String, f64>,
     /// Command of the controller: a program and its arguments. It runs in the folder of this file, without a shell.
-    #[serde(default, skip_serializing_if = "Option::is_none")]
+    #[serde(default, skip_serializing_if = "Option::is_none", deserialize_with = "deserialize_command")]
     pub command: Option<Vec<String>>,
     /// Files that determine the behaviour of the command, as paths from the folder of this file. Without them no result
     /// is cached or certified.
@@ -79,6 +81,34 @@ pub struct ControllerFile {
 
 fn default_history() -> usize {
     1
+}
+
+/// Reads a list of words. The error for one text, which a shell would take, shows the list.
+fn deserialize_command<'de, D: Deserializer<'de>>(command: D) -> Result<Option<Vec<String>>, D::Error> {
+    command.deserialize_any(CommandVisitor).map(Some)
+}
+
+struct CommandVisitor;
+
+impl<'de> Visitor<'de> for CommandVisitor {
+    type Value = Vec<String>;
+
+    fn expecting(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        out.write_str("a list of the program and its arguments")
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Vec<String>, A::Error> {
+        let mut words = Vec::new();
+        while let Some(word) = list.next_element()? {
+            words.push(word);
+        }
+        Ok(words)
+    }
+
+    fn visit_str<E: Error>(self, line: &str) -> Result<Vec<String>, E> {
+        let words: Vec<&str> = line.split_whitespace().collect();
+        Err(E::custom(format!("must be a list of the program and its arguments, as in `command = {words:?}`")))
+    }
 }
 
 /// The JSON schema of controller files.

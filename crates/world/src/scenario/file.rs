@@ -240,7 +240,10 @@ pub fn parse_json<T: DeserializeOwned>(text: &str, path: &Path) -> Result<T, Fil
     let misread = |field: String, error: serde_json::Error| FileError::Syntax {
         path: path.to_owned(),
         line: error.line().max(1),
-        message: prefix_field(&field, error.to_string().split(" at line ").next().unwrap_or_default()),
+        message: prefix_field(
+            &field,
+            &simplify_message(error.to_string().split(" at line ").next().unwrap_or_default()),
+        ),
     };
     let value = serde_path_to_error::deserialize(NamedFields(&mut parsed))
         .map_err(|error| misread(error.path().to_string(), error.into_inner()))?;
@@ -267,13 +270,24 @@ fn simplify_message(message: &str) -> std::borrow::Cow<'_, str> {
             "several kinds are given, and exactly one is required".into()
         }
         "wanted exactly 1 element, found 0 elements" => "no kind is given".into(),
+        "invalid type: sequence, expected a string" => "must be one text in quotation marks, not a list".into(),
         "integer number overflowed" => "a whole number this large must be written with a point or an exponent".into(),
         "invalid type: unit variant, expected newtype variant" => {
             "a name alone is not enough: its settings belong in a table".into()
         }
-        // Serde appends this for an item without settings.
-        other => other.strip_suffix(", there are no fields").unwrap_or(other).into(),
+        other => match single_item(other) {
+            Some(item) => format!("must be a list in square brackets, as in `[{item}]`").into(),
+            // Serde appends this for an item without settings.
+            None => other.strip_suffix(", there are no fields").unwrap_or(other).into(),
+        },
     }
+}
+
+/// Returns the text or number that a message of serde names where a list is required.
+fn single_item(message: &str) -> Option<&str> {
+    let found = message.strip_prefix("invalid type: ")?.strip_suffix(", expected a sequence")?;
+    let number = |kind: &str| found.strip_prefix(kind)?.strip_suffix('`');
+    found.strip_prefix("string ").or_else(|| number("integer `")).or_else(|| number("floating point `"))
 }
 
 /// Prefixes the message with its field, if the parser knows the field.

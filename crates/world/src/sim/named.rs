@@ -1,5 +1,6 @@
 //! Controllers under test, by name.
 
+use std::borrow::Cow;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -166,6 +167,15 @@ impl NamedController {
         Self::find(name, Path::new("")).ok()
     }
 
+    /// Returns the path in the name of a controller that a file holds, behind shields or not; `None` for a built-in
+    /// controller and for a command.
+    #[must_use]
+    pub fn file_in_name(name: &str) -> Option<&str> {
+        let inner = strip_shields(name);
+        let is_file = ControllerSpec::parse(&present_name(inner)).is_none() && !inner.starts_with(EXEC_PREFIX);
+        is_file.then_some(inner)
+    }
+
     /// Finds a controller as [`Self::find`] does, for a name from the user, which permits processes and FMUs.
     ///
     /// # Errors
@@ -228,11 +238,7 @@ impl NamedController {
         folder: &Path,
         named_by: NameOrigin,
     ) -> Result<Self, UnknownController> {
-        // `hardened` is the name of this policy in version 0.1.0.
-        let name = &match name.strip_prefix("hardened") {
-            Some(rest) if rest.is_empty() || rest.starts_with(',') => format!("{}{rest}", RetrainedPolicy::NAME),
-            _ => name.to_owned(),
-        };
+        let name = &*present_name(name);
         if let Some(spec) = ControllerSpec::parse(name) {
             return Ok(spec?.into());
         }
@@ -289,6 +295,14 @@ impl NamedController {
 /// Returns true for a controller file, the only kind of file with fields.
 fn is_toml(path: &Path) -> bool {
     path.extension().is_some_and(|extension| extension == "toml")
+}
+
+/// Returns the name without names of earlier versions: version 0.1.0 calls the retrained policy `hardened`.
+fn present_name(name: &str) -> Cow<'_, str> {
+    match name.strip_prefix("hardened") {
+        Some(rest) if rest.is_empty() || rest.starts_with(',') => format!("{}{rest}", RetrainedPolicy::NAME).into(),
+        _ => name.into(),
+    }
 }
 
 fn strip_shields(name: &str) -> &str {

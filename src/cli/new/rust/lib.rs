@@ -1,6 +1,6 @@
 //! A controller: the Intelligent Driver Model. Replace `decide`.
 
-use crumple_testing::world::observation::Observation;
+use crumple_world::observation::Observation;
 
 /// Returns the commanded acceleration, in m/s².
 pub fn decide(seen: &Observation) -> f64 {

@@ -13,6 +13,12 @@ use crumple_world::sim::NamedController;
 /// Version of the campaign file that this release reads and writes.
 pub const CAMPAIGN_VERSION: u32 = 2;
 
+/// Maximum number of evaluations of a search method.
+pub const MAX_BUDGET: u64 = 1_000_000_000;
+
+/// Maximum seed: TOML has no larger numbers.
+pub const MAX_SEED: u64 = i64::MAX as u64;
+
 /// Everything that decides a campaign's results.
 ///
 /// ```
@@ -45,9 +51,9 @@ pub struct Campaign {
     pub method: Method,
     /// Objective of the search after the first failure. The reference searches ignore it.
     pub objective: SearchObjective,
-    /// Evaluations of the method, and of each reference search.
+    /// Evaluations of the method, and of each reference search: 1 to [`MAX_BUDGET`].
     pub budget: u64,
-    /// Seed of the search and of all noise.
+    /// Seed of the search and of all noise, at most [`MAX_SEED`].
     pub seed: u64,
 }
 

@@ -36,6 +36,7 @@ impl Campaign {
             best = robustness.iter().take(up_to).copied().fold(best, f64::min);
             observer.notify(&CampaignProgress {
                 method: Some(self.method.clone()),
+                examination: None,
                 evaluations: done + up_to as u64,
                 total: self.budget,
                 failures: u64::from(first.is_some()),

@@ -33,16 +33,18 @@ mod summarise;
 mod summary;
 mod table;
 
-pub use config::{CAMPAIGN_VERSION, Campaign, CampaignOptions, EvaluationLog};
+pub use config::{CAMPAIGN_VERSION, Campaign, CampaignOptions, EvaluationLog, MAX_BUDGET, MAX_SEED};
 pub use failures::{FailureCandidate, FailureKind};
 pub use first_failure::FirstFailure;
 pub use objective::{SearchObjective, UnknownObjective};
 pub use reader::{CampaignReader, MAX_READ_EVALUATIONS};
 pub(in crate::falsify) use resolved_config::ResolvedConfig;
-pub use run::{CAMPAIGN_KIND, CampaignProgress, verify_journal};
+pub use run::{CAMPAIGN_KIND, CampaignProgress, ExaminationStep, verify_journal};
 pub use summary::{
     AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary, FailuresByMethod, MethodSummary,
 };
+
+use std::ops::RangeInclusive;
 
 use crumple_core::observer::Stopped;
 use crumple_store::disk::DiskError;
@@ -101,6 +103,16 @@ pub enum CampaignError {
     /// The search method proposed no points, or points outside the unit cube.
     #[error("the search method `{0}` must propose points of the unit cube, at least one each time")]
     InvalidPoints(String),
+    /// A number is out of range.
+    #[error("{field}: must be from {} to {}, found {found}", range.start(), range.end())]
+    OutOfRange {
+        /// Name of the number.
+        field: &'static str,
+        /// Allowed values.
+        range: RangeInclusive<u64>,
+        /// Value.
+        found: u64,
+    },
     /// No vehicle of the space is under test.
     #[error("the space `{0}` has no vehicle under test")]
     NoVehicleUnderTest(String),
@@ -119,6 +131,14 @@ pub enum CampaignError {
 }
 
 impl CampaignError {
+    /// Checks that a number is in its range.
+    ///
+    /// # Errors
+    /// [`CampaignError::OutOfRange`] if it is not.
+    pub fn check_range(field: &'static str, found: u64, range: RangeInclusive<u64>) -> Result<(), Self> {
+        if range.contains(&found) { Ok(()) } else { Err(Self::OutOfRange { field, range, found }) }
+    }
+
     pub(crate) fn from_encoding_error(error: impl std::fmt::Display) -> Self {
         Self::Encoding(error.to_string())
     }

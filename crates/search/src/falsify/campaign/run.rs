@@ -7,7 +7,7 @@ use super::journal::Journal;
 use super::resolved_config::ResolvedConfig;
 use super::summary::CampaignSummary;
 use super::table::EvaluationTable;
-use super::{Campaign, CampaignError, CampaignOptions, EvaluationLog};
+use super::{Campaign, CampaignError, CampaignOptions, EvaluationLog, MAX_BUDGET, MAX_SEED};
 use crate::falsify::counterexample::{Examiner, Recorder};
 use crate::falsify::{Method, SearchAlgorithm};
 use crumple_core::observer::Observer;
@@ -25,8 +25,10 @@ pub(super) const MAX_EXAMINED_KINDS: usize = 12;
 /// Progress of a campaign.
 #[derive(Debug, Clone, PartialEq)]
 pub struct CampaignProgress {
-    /// Current method; `None` while counterexamples are examined.
+    /// Current method; `None` after the search.
     pub method: Option<Method>,
+    /// Current step of the examination of counterexamples; `None` during the search and after the examination.
+    pub examination: Option<ExaminationStep>,
     /// Evaluations done, of all methods.
     pub evaluations: u64,
     /// Evaluations of the complete campaign.
@@ -35,6 +37,30 @@ pub struct CampaignProgress {
     pub failures: u64,
     /// Smallest robustness so far.
     pub best_robustness: f64,
+}
+
+/// A step of the examination of counterexamples, which follows the search. Its duration is not known beforehand.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+#[non_exhaustive]
+pub enum ExaminationStep {
+    /// Replays failures and shrinks their scenarios.
+    Shrinking,
+    /// Searches for escapes.
+    Classifying,
+    /// Replays failures and escapes with another plant.
+    Confirming,
+}
+
+impl ExaminationStep {
+    /// Describes the step, in lower case.
+    #[must_use]
+    pub fn describe(self) -> &'static str {
+        match self {
+            Self::Shrinking => "replaying and shrinking failures",
+            Self::Classifying => "deciding which failures were avoidable",
+            Self::Confirming => "replaying failures with the multi-body plant",
+        }
+    }
 }
 
 pub(super) struct CampaignRun<'a> {
@@ -82,17 +108,20 @@ impl Campaign {
         // The journal stays until all results are written.
         let mut results = work.transaction();
         table.take().map_or(Ok(()), |table| table.finish(&mut results))?;
-        let progress = campaign_progress(None, &findings.method_results, self.total_evaluations());
-        observer.notify(&progress)?;
+        let searched = campaign_progress(None, &findings.method_results, self.total_evaluations());
+        let notify = |step| observer.notify(&CampaignProgress { examination: Some(step), ..searched.clone() });
+        notify(ExaminationStep::Shrinking)?;
         let (examiner, recorder) = (Examiner::new(self, &terms), Recorder { config: &terms });
         let mut distinct = recorder
             .select_distinct(examiner.examine_all(&findings.failures.examination_candidates(MAX_EXAMINED_KINDS))?);
+        notify(ExaminationStep::Classifying)?;
         examiner.classify_all(&mut distinct);
+        notify(ExaminationStep::Confirming)?;
         examiner.confirm_all(&mut distinct);
         self.ensure_all_trusted()?;
         let counterexamples = recorder.record_all(&distinct, &mut results)?;
         let summary = CampaignSummary::from_findings(&terms, findings, counterexamples)?;
-        observer.notify(&progress)?;
+        observer.notify(&searched)?;
         results
             .write(SUMMARY_TEXT_FILE, summary.to_text())
             .write(SUMMARY_FILE, summary.to_json()?)
@@ -108,6 +137,8 @@ impl Campaign {
 
     /// Checks everything that would fail at every point, before any file is written.
     pub(super) fn check(&self, nominal: &Scenario) -> Result<(), CampaignError> {
+        CampaignError::check_range("budget", self.budget, 1..=MAX_BUDGET)?;
+        CampaignError::check_range("seed", self.seed, 0..=MAX_SEED)?;
         if !nominal.has_vehicle_under_test() {
             return Err(CampaignError::NoVehicleUnderTest(self.space.name().to_owned()));
         }
@@ -269,9 +300,53 @@ fn campaign_progress(current: Option<&MethodResults>, done: &[MethodResults], to
     let all = || done.iter().chain(current);
     CampaignProgress {
         method: current.map(|reached| reached.method.clone()),
+        examination: None,
         evaluations: all().map(|reached| reached.evaluations).sum(),
         total,
         failures: all().map(|reached| reached.failures).sum(),
         best_robustness: all().map(|reached| reached.best).fold(f64::INFINITY, f64::min),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Mutex;
+
+    use super::*;
+    use crumple_core::observer::{Listener, Quiet};
+
+    /// A search without an evaluation would find no failure.
+    #[test]
+    fn numbers_out_of_range_are_refused_before_any_file_is_written() {
+        let folder = tempfile::tempdir().unwrap();
+        let campaign = |budget, seed| Campaign::of_match_leader("high-risk", Method::Halton, budget, seed);
+        for (campaign, expected) in [
+            (campaign(0, 0), "budget: must be from 1 to 1000000000, found 0"),
+            (campaign(MAX_BUDGET + 1, 0), "budget: must be from 1 to 1000000000, found 1000000001"),
+            (campaign(1, MAX_SEED + 1), "seed: must be from 0 to 9223372036854775807, found 9223372036854775808"),
+        ] {
+            let refused = campaign.run(&folder.path().join("campaign"), CampaignOptions::default(), &Quiet);
+            assert_eq!(refused.unwrap_err().to_string(), expected);
+            assert_eq!(campaign.find_first_failure(&Quiet).unwrap_err().to_string(), expected);
+        }
+        assert!(!folder.path().join("campaign").exists());
+    }
+
+    /// The observer learns what follows the counted evaluations.
+    #[test]
+    fn the_observer_sees_each_step_of_the_examination() {
+        let folder = tempfile::tempdir().unwrap();
+        let campaign = Campaign::of_match_leader("high-risk", Method::Halton, 20, 0);
+        let seen = Mutex::new(Vec::new());
+        let observer = Listener(|progress: &CampaignProgress| {
+            if progress.method.is_none() {
+                assert_eq!(progress.evaluations, progress.total);
+                seen.lock().unwrap().push(progress.examination);
+            }
+        });
+        let summary = campaign.run(&folder.path().join("campaign"), CampaignOptions::default(), &observer).unwrap();
+        assert!(summary.falsified);
+        let steps = [ExaminationStep::Shrinking, ExaminationStep::Classifying, ExaminationStep::Confirming];
+        assert_eq!(seen.into_inner().unwrap(), [steps.map(Some).as_slice(), &[None]].concat());
     }
 }

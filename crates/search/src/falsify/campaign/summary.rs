@@ -298,7 +298,7 @@ impl CampaignSummary {
         if !self.counterexamples.is_empty() {
             writeln!(out, "\n  distinct failures, shrunk, severest first")?;
             for found in &self.counterexamples {
-                found.write(out, self.specification != Specification::NO_CONTACT)?;
+                found.write(out, self.specification.parse() != Ok(Specification::NoContact))?;
             }
         }
         Ok(())

@@ -1,6 +1,6 @@
 //! Recorded verdicts of scenario files and controllers, and their replay.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde::{Deserialize, Serialize};
 
@@ -41,7 +41,7 @@ pub struct ExpectedVerdict {
     pub controller_sha256: Option<String>,
     /// Estimator of the vehicles under test.
     pub estimator: EstimatorKind,
-    /// Specification: `no contact`, or a formula.
+    /// Specification: `no collision`, or a formula.
     pub specification: String,
     /// True if the specification is violated.
     pub violated: bool,
@@ -112,9 +112,23 @@ pub enum ReplayError {
         /// Actual hash.
         found: String,
     },
+    /// No folder has the file of the controller.
+    #[error("there is no such file in {}", describe_folders(folders))]
+    MissingController {
+        /// Folders that were searched; an empty path is the current folder.
+        folders: Vec<PathBuf>,
+    },
     /// The simulation or the specification failed.
     #[error(transparent)]
     Specification(#[from] SpecificationError),
+}
+
+fn describe_folders(folders: &[PathBuf]) -> String {
+    let name = |folder: &PathBuf| match folder.as_os_str().is_empty() {
+        true => "the current folder".to_owned(),
+        false => folder.display().to_string(),
+    };
+    folders.iter().map(name).collect::<Vec<_>>().join(", ")
 }
 
 impl ExpectedFile {

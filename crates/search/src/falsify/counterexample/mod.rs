@@ -139,7 +139,7 @@ impl Counterexample {
         let severity = match (&self.because, of_formula, contact) {
             (Some(because), ..) => because.clone(),
             (None, false, Some(contact)) => contact,
-            (None, true, Some(contact)) => format!("robustness {:.3}; first contact {contact}", self.robustness),
+            (None, true, Some(contact)) => format!("robustness {:.3}; first collision {contact}", self.robustness),
             (None, _, None) => format!("robustness {:.3}", self.robustness),
         };
         let fragile = if self.dt_fragile { ", DT-FRAGILE" } else { "" };

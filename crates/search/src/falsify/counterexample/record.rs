@@ -182,7 +182,7 @@ impl Recorder<'_> {
         let escape_file =
             one.analysis.escape.as_ref().map(|escape| (format!("counterexamples/escapes/{file}"), escape));
         if let Some((path, escape)) = &escape_file {
-            let about = format!("An escape from {file}: who knows the future avoids the contact like this.");
+            let about = format!("An escape from {file}: a driver who knows the future avoids the collision like this.");
             files.push(named_file(path.clone(), escape, format!("{name}-escape"), about)?);
         }
         let point = self.config.space.point(&one.values);

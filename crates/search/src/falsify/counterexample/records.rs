@@ -1,11 +1,12 @@
 //! Lookup of the recorded verdicts of a scenario file.
 
 use std::collections::HashMap;
+use std::fs;
 use std::path::{Path, PathBuf};
-use std::{fs, iter};
 
-use super::{ExpectedFile, ExpectedVerdict};
+use super::{ExpectedFile, ExpectedVerdict, ReplayError};
 use crumple_world::scenario::file::{EXPECTED_FILE_NAME, FileError, LEGACY_EXPECTED_FILE_NAME};
+use crumple_world::sim::NamedController;
 
 /// A reader of recorded verdicts, which reads the record of each folder once.
 #[derive(Debug, Default)]
@@ -69,10 +70,41 @@ impl<'a> RecordedVerdicts<'a> {
         first
     }
 
-    /// Returns the folders that may contain the controller of a verdict: the record's, and, with a hash, the current
-    /// one.
-    pub fn controller_folders(&self, verdict: &ExpectedVerdict) -> impl Iterator<Item = PathBuf> {
-        let current = verdict.policy_sha256.as_ref().or(verdict.controller_sha256.as_ref()).map(|_| PathBuf::new());
-        iter::once(self.folder.clone()).chain(current)
+    /// Finds the controller of a verdict, and starts its program once as a trial.
+    ///
+    /// A campaign records the path of a file as the user gave it, and not the folder to which it is relative. This
+    /// function searches the folder of the record and the current one. If the record has a hash, which proves that a
+    /// file is the right one, it also searches the folders above the record. Commands run in the current folder, or
+    /// else in that of the record.
+    ///
+    /// # Errors
+    /// [`ReplayError`] if there is no such file, it is not the recorded controller, or its program does not start.
+    pub fn find_controller(&self, verdict: &ExpectedVerdict) -> Result<NamedController, ReplayError> {
+        let (own, current) = (self.folder.clone(), PathBuf::new());
+        let folders = match NamedController::file_in_name(&verdict.controller) {
+            None => vec![current, own],
+            Some(file) => {
+                let has_hash = verdict.policy_sha256.is_some() || verdict.controller_sha256.is_some();
+                let above = self.folder.ancestors().skip(1).filter(|_| has_hash).map(Path::to_owned);
+                let searched: Vec<PathBuf> = [own, current].into_iter().chain(above).collect();
+                let with_file: Vec<_> = searched.iter().filter(|folder| folder.join(file).exists()).cloned().collect();
+                if with_file.is_empty() {
+                    return Err(ReplayError::MissingController { folders: searched });
+                }
+                with_file
+            }
+        };
+        let find = |folder: &PathBuf| {
+            let found = verdict.find_controller(folder)?;
+            found.try_start()?;
+            Ok(found)
+        };
+        let mut found = folders.iter().map(find);
+        // The first error is that of the likeliest folder.
+        match found.next() {
+            Some(Err(first)) => found.find_map(Result::ok).ok_or(first),
+            Some(controller) => controller,
+            None => Err(ReplayError::MissingController { folders }),
+        }
     }
 }

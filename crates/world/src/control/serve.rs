@@ -2,9 +2,10 @@
 
 use std::io::{self, BufRead, Write};
 
-use crumple_world::control::{Controller, ControllerFailure, ControllerSource, Ego};
-use crumple_world::observation::{Neighbour, Observation};
 use serde_json::{Value, json};
+
+use super::{Controller, ControllerFailure, ControllerSource, Ego};
+use crate::observation::{Neighbour, Observation};
 
 /// Reason why a controller cannot answer as a process.
 #[derive(Debug, thiserror::Error)]
@@ -25,6 +26,14 @@ pub enum ServingError {
 /// every command: `crumple falsify --controller exec:target/release/my-controller`.
 ///
 /// The controller file of the process must state the default inputs, without offsets, scales and history.
+///
+/// ```no_run
+/// use crumple_world::control::{ServingError, serve, stateless};
+///
+/// fn main() -> Result<(), ServingError> {
+///     serve("my-controller", &*stateless(|seen| seen.ahead.map_or(0.0, |ahead| ahead.speed_mps - seen.speed_mps)))
+/// }
+/// ```
 ///
 /// # Errors
 /// [`ServingError`], which ends the process and is a failure of the controller.
@@ -105,7 +114,7 @@ fn observation(names: &[String], see: &[f64]) -> Option<Observation> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::stateless;
+    use crate::control::stateless;
 
     const HELLO: &str = r#"{"crumple":1,"hello":{"vehicle":{"index":1,"max_brake_mps2":7.5,"max_accel_mps2":3.0,
         "length_m":2.0},"step_s":0.01,"inputs":["gap_ahead_m","relative_speed_ahead_mps","acceleration_ahead_mps2",
