@@ -231,7 +231,7 @@ state="completeState"/>"#
     let began = Instant::now();
     let refused = (0..10_000).find_map(|_| source.scenario(None, &[]).err()).expect("too much work");
     assert!(
-        refused.to_string().contains("Storyboard: the import needs more than 6000000000 units of work"),
+        refused.to_string().contains("Storyboard: the import needs more than 4000000000 units of work"),
         "{refused}"
     );
     assert!(began.elapsed() < Duration::from_secs(60), "{:?}", began.elapsed());

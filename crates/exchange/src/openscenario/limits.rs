@@ -37,11 +37,11 @@ pub(super) const MAX_PROPERTIES: usize = 100;
 pub(super) const MAX_LANES: usize = 200;
 
 /// Maximum work of an import with all its variations, in units of about a nanosecond.
-const MAX_WORK: u64 = 6_000_000_000;
+const MAX_WORK: u64 = 4_000_000_000;
 /// Work of an import for each element and attribute of the files.
 pub(super) const WORK_PER_ITEM: u64 = 50;
 /// Work for each road that is compared with a point.
-pub(super) const WORK_PER_ROAD: u64 = 30;
+pub(super) const WORK_PER_ROAD: u64 = 150;
 /// Work for each initial speed and each attempt to resolve its reference.
 pub(super) const WORK_PER_INITIAL_SPEED: u64 = 20;
 /// Work for each sample of a motion: to make, check, write and compare it.
