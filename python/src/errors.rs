@@ -2,6 +2,7 @@
 
 use std::path::Path;
 
+use crumple_core::quoting::shorten_message;
 use crumple_world::scenario::InvalidField;
 use crumple_world::scenario::file::FileError;
 use crumple_world::scenario::space::FindSpaceError;
@@ -66,10 +67,11 @@ pub(crate) fn exception_at(
     error: &impl std::fmt::Display,
     (file, line, field): ErrorLocation<'_>,
 ) -> PyErr {
-    let file = file.map(|file| file.display().to_string());
+    let shorten = |text: &str| shorten_message(text).into_owned();
+    let (file, field) = (file.map(|file| file.display().to_string()), field.map(shorten));
     let made = py
         .import("crumple.errors")
         .and_then(|module| module.getattr(format!("{class:?}Error")))
-        .and_then(|class| class.call1((error.to_string(), file, line, field)));
+        .and_then(|class| class.call1((shorten(&error.to_string()), file, line, field)));
     made.map_or_else(|error| error, PyErr::from_value)
 }

@@ -66,12 +66,15 @@ pub(super) fn parse_specification(text: &str, nominal: &Scenario, quiet: bool) -
     Ok(read)
 }
 
+/// An error of an argument for clap. Its sources determine the exit code.
+pub(super) type ArgumentError = Box<dyn std::error::Error + Send + Sync>;
+
 /// Finds a built-in scenario space or loads one from a file, for clap. Returns it with the given name.
-pub(super) fn parse_space(name_or_path: &str) -> Result<(String, ScenarioSpace), String> {
+pub(super) fn parse_space(name_or_path: &str) -> Result<(String, ScenarioSpace), ArgumentError> {
     if name_or_path.trim().is_empty() {
-        return Err("the name of the scenario space is empty".to_owned());
+        return Err("the name of the scenario space is empty".into());
     }
-    let space = find_space(name_or_path).map_err(|error| error.to_string())?;
+    let space = find_space(name_or_path)?;
     Ok((name_or_path.to_owned(), space))
 }
 
@@ -89,8 +92,8 @@ pub(super) fn parse_weighted_name(words: &str) -> Result<(String, f64), String> 
 }
 
 /// Finds a built-in controller or loads one from a file, for clap. Starts no program: [`try_controllers`] does.
-pub(super) fn parse_controller(name: &str) -> Result<NamedController, String> {
-    let found = NamedController::find_for_user(name, Path::new("")).map_err(|error| error.to_string())?;
+pub(super) fn parse_controller(name: &str) -> Result<NamedController, ArgumentError> {
+    let found = NamedController::find_for_user(name, Path::new(""))?;
     let mut named = NAMED_CONTROLLERS.lock().unwrap_or_else(PoisonError::into_inner);
     if !named.iter().any(|other| other.name == found.name) {
         named.push(found.clone());
@@ -99,12 +102,12 @@ pub(super) fn parse_controller(name: &str) -> Result<NamedController, String> {
 }
 
 /// Loads a policy in crumple's own format, built in or from a file.
-pub(super) fn parse_own_policy(name: &str) -> Result<NamedController, String> {
+pub(super) fn parse_own_policy(name: &str) -> Result<NamedController, ArgumentError> {
     let usable = "use `policy`, `retrained`, `road`, or a policy file that `crumple train` wrote";
     match parse_controller(name) {
         Ok(found) if found.policy().is_some() && !matches!(found.kind, ControllerKind::Shielded(_)) => Ok(found),
-        Ok(_) => Err(format!("`{name}` cannot be retrained: {usable}")),
-        Err(_) if !Path::new(name).exists() => Err(format!("there is no policy `{name}`: {usable}")),
+        Ok(_) => Err(format!("`{name}` cannot be retrained: {usable}").into()),
+        Err(_) if !Path::new(name).exists() => Err(format!("there is no policy `{name}`: {usable}").into()),
         Err(error) => Err(error),
     }
 }

@@ -1,6 +1,5 @@
 //! `crumple check`: accepts or rejects certificates by the checker alone, and repeats counted runs on request.
 
-use std::fs::File;
 use std::hash::{BuildHasher, RandomState};
 use std::io::ErrorKind;
 use std::path::{Path, PathBuf};
@@ -11,6 +10,7 @@ use serde::Serialize;
 
 use super::simulate::OutputFormat;
 use super::{CliError, args, file_kind, interrupt, output, progress};
+use crumple_core::regular_file;
 use crumple_evidence::{
     BlockSelection, CertificateReport, CountsStatus, Rerun, RerunError, check_covers_scenario, checker_file,
     report_json, report_text,
@@ -172,7 +172,7 @@ impl Check {
                          certificate with --policy"
                     ))
                 }
-                other => CliError::input(other),
+                other => CliError::from_cause(other),
             })?;
             let file = checker_file(&read).map_err(|invalid| CliError::Input(format!("{place}: {invalid}")))?;
             return file.map(Some).ok_or_else(|| CliError::Input(format!("{place}: is not a network")));
@@ -226,7 +226,7 @@ fn load_certificate(path: &Path) -> Result<Certificate, CliError> {
     if let Some(what) = file_kind::detect(path) {
         return Err(CliError::at(path, format!("is not a certificate, but {what}")));
     }
-    let file = File::open(path).map_err(|source| CliError::from_read_error(path.to_owned(), source))?;
+    let file = regular_file::open(path).map_err(|source| CliError::from_read_error(path.to_owned(), source))?;
     Certificate::from_reader(file).map_err(|error| match error {
         CertificateParseError::Read(source) if source.kind() == ErrorKind::InvalidData => {
             CliError::at(path, "is not a certificate: it is not UTF-8 text")

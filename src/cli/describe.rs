@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use clap::Args;
 use serde::Serialize;
 
+use super::error::is_caused_by_environment;
 use super::simulate::OutputFormat;
 use super::{CliError, describe_fmu, file_kind, output};
 use crumple_world::control::{Mapping, ObservedQuantity, OutputMapping};
@@ -134,6 +135,7 @@ impl Describe {
             None if names_no_network => CliError::Input(format!(
                 "{place}: `describe` takes a network (.onnx, or .zip for a model of Stable-Baselines3) or an FMU (.fmu)"
             )),
+            None if is_caused_by_environment(error) => CliError::Environment(error.to_string()),
             None => CliError::input(error),
         }
     }

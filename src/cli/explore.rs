@@ -8,7 +8,6 @@ use serde::Serialize;
 
 use super::simulate::OutputFormat;
 use super::{CliError, args, output, value_enums};
-use crumple_store::disk::DiskError;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::sim::NamedController;
 
@@ -75,7 +74,7 @@ impl Explore {
 impl From<ServeError> for CliError {
     fn from(error: ServeError) -> Self {
         match error {
-            ServeError::System(source) => Self::Environment(DiskError { path: "the network".into(), source }),
+            ServeError::System(source) => Self::Environment(format!("the network: {source}")),
             other => Self::input(other),
         }
     }

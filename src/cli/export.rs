@@ -171,7 +171,7 @@ impl Export {
             return driven(controller.clone(), None);
         }
         if built_in_scenario(given).is_some() {
-            return driven(NamedController::find("baseline", Path::new("")).map_err(CliError::input)?, None);
+            return driven(NamedController::find("baseline", Path::new("")).map_err(CliError::from_cause)?, None);
         }
         let mut records = VerdictRecordReader::default();
         let Some(recorded) = records.find(Path::new(given))? else {

@@ -1,8 +1,9 @@
 //! Detection of crumple's file kinds, for a better error when a command gets the wrong kind.
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
+
+use crumple_core::regular_file;
 
 /// Number of bytes within which the header of a policy or a checkpoint begins.
 const HEADER_BYTES: u64 = 4096;
@@ -10,8 +11,9 @@ const HEADER_BYTES: u64 = 4096;
 /// Returns the kind of a file and the command that reads it; `None` if the first bytes do not identify it.
 pub(super) fn detect(path: &Path) -> Option<&'static str> {
     let mut begin = Vec::new();
+    // The command reads a pipe; this function must not.
     if path.is_file() {
-        File::open(path).ok()?.take(HEADER_BYTES).read_to_end(&mut begin).ok()?;
+        regular_file::open(path).ok()?.take(HEADER_BYTES).read_to_end(&mut begin).ok()?;
     }
     let begins_with = |key: &str| begin.windows(key.len()).any(|found| found == key.as_bytes());
     if begins_with("\"crumple_policy\"") {

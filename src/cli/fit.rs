@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
-use std::fs::{File, Metadata};
+use std::fs::Metadata;
 use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
@@ -16,6 +16,7 @@ use super::simulate::{OutputFormat, parse_path_ending_in};
 use super::{CliError, args, output, value_enums};
 use crumple_core::digits;
 use crumple_core::quoting::TerminalText;
+use crumple_core::regular_file;
 use crumple_evidence::fit::{
     EpisodeCollector, EpisodeSample, ExtractionConfig, FamilyFit, FittedFeature, FittedSize, FittedSpace, MAX_VEHICLES,
     fit, format_p_value,
@@ -108,7 +109,8 @@ pub(super) fn ensure_distinct(recordings: &[PathBuf]) -> Result<(), CliError> {
 }
 
 fn have_same_content(a: &Path, b: &Path) -> io::Result<bool> {
-    let bytes = |path: &Path| -> io::Result<_> { Ok(BufReader::new(File::open(path)?).bytes().map_while(Result::ok)) };
+    let bytes =
+        |path: &Path| -> io::Result<_> { Ok(BufReader::new(regular_file::open(path)?).bytes().map_while(Result::ok)) };
     Ok(bytes(a)?.eq(bytes(b)?))
 }
 

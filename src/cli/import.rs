@@ -41,7 +41,9 @@ three or more vehicles. Without any episode the exit code is 1, and the hardest 
 
 An OpenSCENARIO file F.xosc (1.0 to 1.3) becomes a scenario on the lane of the vehicle under test. \
 --distribution makes a scenario of each combination of values (at most 10 000), or a space of random values. \
-Unsupported content is an error with element, line and reason. A file may have 64 MiB.
+Unsupported content is an error with element, line and reason. The file, its road and its catalogues may have 64 MiB \
+and a million tags and attributes, 1000 entities, 2000 events, 10 000 conditions and 400 000 samples of speeds; \
+docs/exchange.md states the other limits.
 
 Recordings of any length need less than 500 MB of memory: crumple reads them in overlapping parts of about 500 000 \
 rows, and traffic through temporary files (in TMPDIR). A platoon may have 200 vehicles, a file a million events or \

@@ -7,12 +7,15 @@ use serde::Serialize;
 
 use super::CliError;
 use super::output_folder::{EarlierFiles, OutputFolder};
+use super::progress::{import_bar, show};
 use super::simulate::OutputFormat;
 use super::{export, output};
+use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
 use crumple_core::quoting::TerminalText;
 use crumple_exchange::openscenario::{
     ImportedLaneScenario, OpenScenarioSource, ParameterDistributionFile, ScenarioImportError, Variation,
 };
+use crumple_world::scenario::file::MAX_FOLDER_BYTES;
 use crumple_world::scenario::{Scenario, file, space};
 
 /// Options of OpenSCENARIO files.
@@ -38,7 +41,7 @@ impl From<ScenarioImportError> for CliError {
     fn from(error: ScenarioImportError) -> Self {
         match error {
             ScenarioImportError::Read { path, source } => Self::from_read_error(path, source),
-            other => Self::input(other),
+            other => Self::from_cause(other),
         }
     }
 }
@@ -65,17 +68,21 @@ impl OpenScenarioArgs {
         let ego = self.ego.as_deref();
         let (files, violating, notes) = match &self.distribution {
             None => {
-                let ImportedLaneScenario { scenario, notes } = source.scenario(ego, &[])?;
+                let imported = show(&import_bar(1, quiet), |_| source.scenario(ego, &[]));
+                let ImportedLaneScenario { scenario, notes } = imported?;
                 (vec![scenario_file(&scenario)?], 0, notes)
             }
             Some(distribution) => {
                 let distributions = ParameterDistributionFile::load(distribution, path)?;
                 if distributions.is_random() {
-                    let (space, notes) = source.space(ego, &distributions)?;
-                    let text = space::file::to_toml(&space).map_err(CliError::input)?;
+                    let bar = import_bar(1 + 3 * distributions.random_count() as u64, quiet);
+                    let (space, notes) = show(&bar, |progress| source.space(ego, &distributions, progress))?;
+                    let text = readable(space::file::to_toml(&space).map_err(CliError::input)?, space.name())?;
                     (vec![(format!("{}-space.toml", export::file_stem(space.name())), text.into_bytes())], 0, notes)
                 } else {
-                    import_variations(&source, ego, &distributions.variations()?)?
+                    let variations = distributions.variations()?;
+                    let bar = import_bar(variations.len() as u64, quiet);
+                    show(&bar, |progress| import_variations(&source, ego, &variations, progress))?
                 }
             }
         };
@@ -98,8 +105,18 @@ impl OpenScenarioArgs {
 }
 
 fn scenario_file(scenario: &Scenario) -> Result<(String, Vec<u8>), CliError> {
-    let text = file::to_toml(scenario).map_err(CliError::input)?;
+    let text = readable(file::to_toml(scenario).map_err(CliError::input)?, &scenario.spec().name)?;
     Ok((format!("{}.toml", export::file_stem(&scenario.spec().name)), text.into_bytes()))
+}
+
+/// Refuses a file that crumple could not read again.
+fn readable(text: String, name: &str) -> Result<String, CliError> {
+    if text.len() as u64 <= file::MAX_TOML_BYTES {
+        return Ok(text);
+    }
+    let most = file::MAX_TOML_BYTES >> 20;
+    let problem = "as its speeds have too many samples: shorten trajectories, speed profiles or curved transitions";
+    Err(CliError::Input(format!("the file of `{name}` would have more than {most} MiB, {problem}")))
 }
 
 /// Returns the files of all variations, the number of those that violate constraints, and the notes of the first.
@@ -108,24 +125,32 @@ fn import_variations(
     source: &OpenScenarioSource,
     ego: Option<&str>,
     variations: &[Variation],
+    progress: &dyn Observer<RunProgress>,
 ) -> Result<(Vec<(String, Vec<u8>)>, usize, Vec<String>), CliError> {
     let (mut files, mut violating, mut notes) = (Vec::new(), 0, Vec::new());
+    let (counter, mut bytes_left) = (ProgressCounter::new(progress, Some(variations.len() as u64)), MAX_FOLDER_BYTES);
     for (index, variation) in variations.iter().enumerate() {
         let values: Vec<_> = variation.iter().map(|(name, value)| format!("{name} = {value}")).collect();
         let values = values.join(", ");
+        counter.add(1).map_err(CliError::input)?;
         let imported = match source.scenario(ego, variation) {
             Ok(imported) => imported,
             Err(ScenarioImportError::Constraint { .. }) => {
                 violating += 1;
                 continue;
             }
-            Err(error) => return Err(CliError::Input(format!("{error} (with {values})"))),
+            Err(error) => return Err(CliError::Input(format!("{error} (with `{values}`)"))),
         };
         let named = imported.scenario.edited(|spec| {
             let stem: String = spec.name.chars().take(190).collect();
             (spec.name, spec.about) = (format!("{stem}-{:05}", index + 1), values);
         });
-        files.push(scenario_file(&named.map_err(CliError::input)?)?);
+        let (name, text) = scenario_file(&named.map_err(CliError::input)?)?;
+        bytes_left = bytes_left.checked_sub(text.len() as u64).ok_or_else(|| {
+            let most = MAX_FOLDER_BYTES >> 20;
+            CliError::Input(format!("the scenarios of all variations have more than {most} MiB: give fewer values"))
+        })?;
+        files.push((name, text));
         if files.len() == 1 {
             notes = imported.notes;
         }

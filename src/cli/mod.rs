@@ -51,9 +51,11 @@ mod worst_case;
 
 use std::ffi::OsString;
 use std::fmt::Write;
+use std::path::PathBuf;
 use std::process::ExitCode;
 
 use clap::{CommandFactory, FromArgMatches, Parser, Subcommand};
+use crumple_core::regular_file;
 use crumple_world::control::allow_external;
 
 use error::CliError;
@@ -130,6 +132,7 @@ enum CliCommand {
 pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     interrupt::ignore_file_size_signal();
     let arguments: Vec<OsString> = arguments.into_iter().collect();
+    regular_file::permit_pipes(named_pipes(&arguments));
     if allows_external(&arguments) {
         allow_external();
     }
@@ -137,7 +140,12 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
         match build_command().try_get_matches_from(arguments).and_then(|found| Cli::from_arg_matches(&found)) {
             Ok(arguments) => arguments,
             Err(usage) => {
-                let code = if usage.use_stderr() { 2 } else { 0 };
+                let code = match usage.use_stderr() {
+                    true if error::is_caused_by_environment(&usage) => 3,
+                    true if error::states_disk_failure(&usage.to_string()) => 3,
+                    true => 2,
+                    false => 0,
+                };
                 match usage.use_stderr() {
                     // Without colours: the message quotes arguments, which may contain escape sequences.
                     true => output::warn(usage.render().to_string().trim_end()),
@@ -187,6 +195,19 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
 /// files.
 fn allows_external(arguments: &[OsString]) -> bool {
     arguments.iter().take_while(|argument| *argument != "--").any(|argument| argument == "--allow-external")
+}
+
+/// Returns the arguments, and the parts of arguments behind an equal sign, that name open files of this process, such
+/// as `/dev/stdin` and the `/dev/fd/63` of `<(...)` in a shell. Only these may be pipes: within files, such names would
+/// make crumple wait.
+fn named_pipes(arguments: &[OsString]) -> Vec<PathBuf> {
+    let words = arguments.iter().filter_map(|argument| argument.to_str());
+    let words = words.flat_map(|word| [Some(word), word.split_once('=').map(|(_, value)| value)]).flatten();
+    let is_open_file = |word: &&str| {
+        let number = word.strip_prefix("/dev/fd/").or_else(|| word.strip_prefix("/proc/self/fd/"));
+        *word == "/dev/stdin" || number.is_some_and(|number| number.parse::<u32>().is_ok())
+    };
+    words.filter(is_open_file).map(PathBuf::from).collect()
 }
 
 fn build_command() -> clap::Command {

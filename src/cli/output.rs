@@ -10,8 +10,11 @@ use serde::Serialize;
 
 use super::CliError;
 use super::simulate::OutputFormat;
-use crumple_core::quoting::{TerminalLines, TerminalText};
+use crumple_core::quoting::{TerminalLines, TerminalMessage, shorten_message};
 use crumple_store::disk::DiskError;
+
+/// Maximum number of lines of a warning.
+const MAX_WARNING_LINES: usize = 200;
 
 /// Prints to standard output. Ignores a closed pipe.
 pub(super) fn print(text: &str) -> Result<(), CliError> {
@@ -114,7 +117,7 @@ pub(super) fn print_json(object: &impl Serialize) -> Result<(), CliError> {
 /// Prints a note of one line on standard error, unless `quiet`.
 pub(super) fn note(text: &str, quiet: bool) {
     if !quiet {
-        warn(&TerminalText(text).to_string());
+        emit_to_stderr(TerminalMessage(text).to_string());
     }
 }
 
@@ -126,9 +129,16 @@ pub(super) fn note_nothing_to_resume(resume: bool, folder: &Path, quiet: bool) {
     }
 }
 
-/// Prints several lines on standard error.
+/// Prints several lines on standard error, each of limited length.
 pub(super) fn warn(text: &str) {
-    let _ = writeln!(io::stderr(), "{}", TerminalLines(text));
+    let lines: Vec<_> = text.lines().take(MAX_WARNING_LINES).map(shorten_message).collect();
+    emit_to_stderr(TerminalLines(&lines.join("\n")).to_string());
+}
+
+/// Writes a line at once: standard error has no buffer, and other programs may write to it.
+fn emit_to_stderr(mut line: String) {
+    line.push('\n');
+    let _ = io::stderr().write_all(line.as_bytes());
 }
 
 /// Returns the file to write for a path that the user named. Follows a symbolic link, which stays. Refuses anything but

@@ -12,6 +12,7 @@ use std::path::{Component, Path, PathBuf};
 
 use super::{CliError, output};
 use crumple_core::digest::{Sha256, sha256};
+use crumple_core::regular_file;
 use crumple_store::disk::{self, DiskError, StagedFiles};
 use crumple_world::scenario::file;
 
@@ -201,7 +202,7 @@ fn read_listing(path: &Path) -> Result<Vec<(String, String)>, CliError> {
 
 fn file_digest(path: &Path) -> Result<String, DiskError> {
     let mut digest = Sha256::default();
-    let mut copied = fs::File::open(path).map_err(DiskError::at(path))?;
+    let mut copied = regular_file::open(path).map_err(DiskError::at(path))?;
     io::copy(&mut copied, &mut digest).map_err(DiskError::at(path))?;
     Ok(digest.hexadecimal())
 }

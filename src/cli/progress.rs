@@ -61,6 +61,15 @@ pub(super) fn replay_bar(quiet: bool) -> ProgressBar {
     progress_bar("replay {wide_bar} {human_pos}/{human_len} s, {eta} left", Some(1), quiet)
 }
 
+/// Returns a bar of imported scenarios. It shows the time, because one scenario may take seconds.
+pub(super) fn import_bar(total: u64, quiet: bool) -> ProgressBar {
+    let bar = progress_bar("importing {spinner} {human_pos}/{human_len} scenarios ({elapsed})", Some(total), quiet);
+    if !bar.is_hidden() {
+        bar.enable_steady_tick(Duration::from_millis(200));
+    }
+    bar
+}
+
 pub(super) fn status_line(quiet: bool) -> ProgressBar {
     progress_bar("{spinner} {msg} ({elapsed})", None, quiet)
 }

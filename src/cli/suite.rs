@@ -123,7 +123,7 @@ fn default_controllers() -> Result<Vec<NamedController>, CliError> {
     let learned = all.iter().filter(|spec| spec.role() == Role::Learned);
     let shielded = learned.map(|spec| format!("shield:{}", spec.name()));
     let names = all.iter().map(|spec| spec.name().to_owned()).chain(shielded);
-    names.map(|name| NamedController::find(&name, Path::new("")).map_err(CliError::input)).collect()
+    names.map(|name| NamedController::find(&name, Path::new("")).map_err(CliError::from_cause)).collect()
 }
 
 #[derive(Clone, Copy, PartialEq, ValueEnum)]

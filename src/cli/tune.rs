@@ -106,7 +106,7 @@ fn parse_tuned_controller(text: &str) -> Result<String, String> {
     SettingSearch::parse(text, &[]).map(|_| text.to_owned()).map_err(|error| error.to_string())
 }
 
-fn parse_tuning_space(words: &str) -> Result<TuningSpace, String> {
+fn parse_tuning_space(words: &str) -> Result<TuningSpace, args::ArgumentError> {
     let (name, weight) = args::parse_weighted_name(words)?;
     Ok(TuningSpace { space: args::parse_space(&name)?.1, weight })
 }

@@ -54,6 +54,8 @@ mod search;
 mod seeds;
 mod shield;
 mod spaces;
+#[cfg(unix)]
+mod special_files;
 mod suite_pages;
 mod suites;
 mod test_cases;

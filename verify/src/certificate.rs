@@ -293,6 +293,18 @@ pub struct Branch {
     pub fired: f64,
 }
 
+/// Opens a regular file. Other files are refused, because reading a pipe or a device may never end.
+///
+/// # Errors
+/// Those of the system; [`std::io::ErrorKind::InvalidInput`] for anything but a regular file.
+pub fn open_regular_file(path: &Path) -> std::io::Result<File> {
+    let refuse = || Err(std::io::Error::new(std::io::ErrorKind::InvalidInput, "is not a regular file"));
+    match path.metadata() {
+        Ok(found) if !found.is_file() && !found.is_dir() => refuse(),
+        _ => File::open(path),
+    }
+}
+
 /// Reason for which a file is not a certificate.
 #[derive(Debug, thiserror::Error)]
 #[non_exhaustive]
@@ -338,7 +350,7 @@ impl Certificate {
     pub fn read_policy(&self, path: &Path, policy: Option<&Path>) -> Option<Vec<u8>> {
         let beside = path.with_file_name(Path::new(self.policy_reference()?.0).file_name()?);
         let mut bytes = Vec::new();
-        File::open(policy.unwrap_or(&beside)).ok()?.take(MAX_BYTES as u64).read_to_end(&mut bytes).ok()?;
+        open_regular_file(policy.unwrap_or(&beside)).ok()?.take(MAX_BYTES as u64).read_to_end(&mut bytes).ok()?;
         Some(bytes)
     }
 

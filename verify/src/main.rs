@@ -4,11 +4,15 @@
 //! certificate that takes more than N billion operations to check; by default 4000, about ten minutes of one core. Exit
 //! code 0 if all are accepted, 1 if one is rejected, 2 if one is not a certificate.
 
-use std::fs::File;
+use std::io::Write;
 use std::path::Path;
 use std::process::ExitCode;
 
+use crumple_verify::certificate::open_regular_file;
 use crumple_verify::{Certificate, CertificateParseError, WorkLimit, check_with};
+
+/// Maximum number of characters of an error.
+const MAX_PROBLEM_CHARS: usize = 1000;
 
 fn main() -> ExitCode {
     let mut words = std::env::args_os().skip(1).peekable();
@@ -31,13 +35,17 @@ fn main() -> ExitCode {
 
 fn check_file(path: &Path, policy: Option<&Path>, limit: WorkLimit) -> u8 {
     let name = path.display();
-    let certificate = match File::open(path).map_err(CertificateParseError::from).and_then(Certificate::from_reader) {
-        Ok(certificate) => certificate,
-        Err(error) => {
-            eprintln!("{name}: {error}");
-            return 2;
-        }
-    };
+    let certificate =
+        match open_regular_file(path).map_err(CertificateParseError::from).and_then(Certificate::from_reader) {
+            Ok(certificate) => certificate,
+            Err(error) => {
+                // A token of the file may be as long as the file.
+                let problem: String = error.to_string().chars().take(MAX_PROBLEM_CHARS).collect();
+                let line = format!("{name}: {problem}\n");
+                let _ = std::io::stderr().write_all(line.as_bytes());
+                return 2;
+            }
+        };
     match check_with(&certificate, certificate.read_policy(path, policy).as_deref(), limit) {
         Ok(accepted) => {
             println!("{name}: accepted: {accepted}");

@@ -1,4 +1,5 @@
-//! Digests, rounded numbers, intervals of rates, quoted text and progress, for every other crate of crumple.
+//! Digests, rounded numbers, intervals of rates, quoted text, progress and opening of files, for every other crate of
+//! crumple.
 //!
 //! | module | content |
 //! |---|---|
@@ -8,6 +9,7 @@
 //! | [`interval`] | exact confidence intervals of a rate |
 //! | [`observer`] | progress of long work, and the decision to stop it |
 //! | [`quoting`] | text from users, quoted for a terminal, for Markdown or for a shell |
+//! | [`regular_file`] | opening of files that users name: regular files only |
 
 pub mod binomial;
 pub mod digest;
@@ -15,3 +17,4 @@ pub mod digits;
 pub mod interval;
 pub mod observer;
 pub mod quoting;
+pub mod regular_file;

@@ -6,16 +6,29 @@
 //! | type | output format |
 //! |---|---|
 //! | [`TerminalText`] | one line of a terminal, log or list |
+//! | [`TerminalMessage`] | an error or a note in one line, of limited length |
 //! | [`TerminalLines`] | a whole text (also JSON, XML or HTML); line breaks and tabs stay |
 //! | [`MarkdownText`] | text in a Markdown paragraph, heading or table cell |
 //! | [`MarkdownCode`] | inline code in Markdown |
 //! | [`ShellWord`] | one argument of a command in a POSIX shell |
 
+use std::borrow::Cow;
 use std::fmt::{self, Display, Formatter, Write};
+
+/// Maximum number of characters of a message.
+pub const MAX_MESSAGE_CHARS: usize = 2000;
+/// Maximum number of characters of a text that a message quotes in backticks.
+pub const MAX_QUOTED_CHARS: usize = 200;
+/// Number of characters that a shortened message keeps at its end, where the reason often is.
+const MESSAGE_END_CHARS: usize = 600;
 
 /// Text in one line for a reader. Hidden characters, line breaks and tabs are escaped, as in `\u001b`.
 #[derive(Debug, Clone, Copy)]
 pub struct TerminalText<'a>(pub &'a str);
+
+/// An error or a note: [`TerminalText`] that [`shorten_message`] has shortened.
+#[derive(Debug, Clone, Copy)]
+pub struct TerminalMessage<'a>(pub &'a str);
 
 /// Text of several lines. Differs from [`TerminalText`] in that line feeds and tabs stay. Hidden characters are escaped
 /// as in JSON (`\u001b`). A JSON parser restores them. XML forbids most of them, so there the escapes stay as text.
@@ -46,6 +59,36 @@ pub fn is_hidden(letter: char) -> bool {
             | '\u{e0000}'..='\u{e007f}')
 }
 
+/// Shortens a message to [`MAX_MESSAGE_CHARS`], and each text in backticks to [`MAX_QUOTED_CHARS`]. An ellipsis
+/// replaces what is left out.
+#[must_use]
+pub fn shorten_message(text: &str) -> Cow<'_, str> {
+    // A character has at least one byte.
+    if text.len() <= MAX_QUOTED_CHARS {
+        return Cow::Borrowed(text);
+    }
+    let last = text.matches('`').count();
+    let mut short = String::new();
+    for (index, part) in text.split('`').enumerate() {
+        short.push_str(if index > 0 { "`" } else { "" });
+        // Text after an opening backtick without a closing one is no quotation.
+        let is_quoted = index % 2 == 1 && index < last;
+        short.push_str(&if is_quoted { keep_ends(part, MAX_QUOTED_CHARS, 0) } else { Cow::Borrowed(part) });
+    }
+    Cow::Owned(keep_ends(&short, MAX_MESSAGE_CHARS, MESSAGE_END_CHARS).into_owned())
+}
+
+/// Shortens a text to `most` characters, of which `end` are those at its end.
+fn keep_ends(text: &str, most: usize, end: usize) -> Cow<'_, str> {
+    let count = text.chars().count();
+    if count <= most {
+        return Cow::Borrowed(text);
+    }
+    let byte_of = |index: usize| text.char_indices().nth(index).map_or(text.len(), |(byte, _)| byte);
+    let begin = text.get(..byte_of(most.saturating_sub(end + 1))).unwrap_or_default();
+    Cow::Owned(format!("{begin}…{}", text.get(byte_of(count - end)..).unwrap_or_default()))
+}
+
 fn write_escaped(letter: char, out: &mut Formatter<'_>) -> fmt::Result {
     if !is_hidden(letter) {
         return out.write_char(letter);
@@ -57,6 +100,12 @@ fn write_escaped(letter: char, out: &mut Formatter<'_>) -> fmt::Result {
 impl Display for TerminalText<'_> {
     fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
         self.0.chars().try_for_each(|letter| write_escaped(letter, out))
+    }
+}
+
+impl Display for TerminalMessage<'_> {
+    fn fmt(&self, out: &mut Formatter<'_>) -> fmt::Result {
+        TerminalText(&shorten_message(self.0)).fmt(out)
     }
 }
 
@@ -164,6 +213,21 @@ mod tests {
             let line = words.iter().map(|word| ShellWord(word).to_string()).collect::<Vec<_>>().join(" ");
             prop_assert_eq!(shlex::split(&line).unwrap(), words);
         }
+    }
+
+    #[test]
+    fn messages_are_shortened_where_they_quote_and_as_a_whole() {
+        let long = "ä".repeat(1_000_000);
+        let quoted = TerminalMessage(&format!("a.toml:1: unknown field `{long}`, expected `name`")).to_string();
+        let expected = format!("a.toml:1: unknown field `{}…`, expected `name`", "ä".repeat(MAX_QUOTED_CHARS - 1));
+        assert_eq!(quoted, expected);
+        for text in [format!("a.toml:1: {long}: is no number"), format!("a.toml:1: `{long}: is no number")] {
+            let short = shorten_message(&text);
+            assert_eq!(short.chars().count(), MAX_MESSAGE_CHARS);
+            assert!(short.starts_with("a.toml:1: ") && short.ends_with("ä: is no number"), "{short}");
+        }
+        let whole = format!("`{}`", "x".repeat(MAX_QUOTED_CHARS));
+        assert_eq!(shorten_message(&whole), whole);
     }
 
     #[test]

@@ -62,11 +62,7 @@ impl Fmu<BufReader<File>> {
     /// # Errors
     /// [`FmuError`] if it cannot be read, is no FMU, or cannot be a controller on this platform.
     pub fn open(path: &Path) -> Result<Self, FmuError> {
-        let file = File::open(path)?;
-        if !file.metadata()?.is_file() {
-            return Err(io::Error::new(io::ErrorKind::InvalidInput, "it is not a regular file").into());
-        }
-        Self::read(BufReader::new(file))
+        Self::read(BufReader::new(crumple_core::regular_file::open(path)?))
     }
 }
 

@@ -8,6 +8,7 @@ use std::fs;
 use std::io::{self, Read, Write};
 use std::path::{Path, PathBuf};
 
+use crumple_core::regular_file;
 use rayon::prelude::*;
 use tempfile::{NamedTempFile, TempPath};
 pub(crate) use unfinished::is_unfinished;
@@ -119,16 +120,7 @@ pub fn write(path: &Path, contents: impl AsRef<[u8]>) -> Result<(), DiskError> {
 /// # Errors
 /// [`DiskError`] if it cannot be read or is longer: [`io::ErrorKind::FileTooLarge`].
 pub fn read(path: &Path, most: u64) -> Result<Option<Vec<u8>>, DiskError> {
-    match none_if_missing(fs::metadata(path)).map_err(DiskError::at(path))? {
-        None => return Ok(None),
-        // Reading a pipe would block.
-        Some(found) if !found.is_file() && !found.is_dir() => {
-            let problem = io::Error::new(io::ErrorKind::InvalidData, "is not a file");
-            return Err(DiskError::at(path)(problem));
-        }
-        Some(_) => {}
-    }
-    let Some(file) = none_if_missing(fs::File::open(path)).map_err(DiskError::at(path))? else { return Ok(None) };
+    let Some(file) = none_if_missing(regular_file::open(path)).map_err(DiskError::at(path))? else { return Ok(None) };
     let mut bytes = Vec::new();
     match file.take(most.saturating_add(1)).read_to_end(&mut bytes) {
         Ok(count) if count as u64 > most => Err(DiskError::at(path)(io::ErrorKind::FileTooLarge.into())),

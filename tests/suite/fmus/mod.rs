@@ -209,7 +209,7 @@ fn mismatches_with_an_fmu_are_refused_by_file_line_and_field() {
         ("fmu = ", "command = [\"a\"]\nfmu = ", "odd.toml:2: command: `fmu` is given already: keep one of them"),
         ("odd.fmu", "none.fmu", "odd.toml:2: fmu: there is no file "),
         ("odd.fmu", ".", "odd.toml:2: fmu: "),
-        ("odd.fmu", ".", " cannot be read: it is not a regular file"),
+        ("odd.fmu", ".", " cannot be read: is not a regular file"),
         ("odd.fmu", "bad.fmu", "bad.fmu is not an FMU: it is not a zip archive, or it was cut off"),
     ];
     fs::write(odd.path().join("bad.fmu"), "no archive").unwrap();

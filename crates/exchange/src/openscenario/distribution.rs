@@ -5,6 +5,7 @@ use std::path::Path;
 use std::rc::Rc;
 
 use super::error::ScenarioImportError;
+use super::limits::ensure_at_most;
 use super::parameters::{Parameters, read_assignment};
 use super::source::FileCache;
 use super::xml::{Node, SourceElement};
@@ -15,6 +16,13 @@ type Result<T> = std::result::Result<T, ScenarioImportError>;
 
 /// Maximum number of variations of a scenario.
 pub const MAX_VARIATIONS: usize = MAX_FILES;
+/// Maximum number of parameters with distributions.
+const MAX_DISTRIBUTIONS: usize = 200;
+/// Maximum number of bins of a histogram.
+const MAX_BINS: usize = 1000;
+/// Maximum number of values of all variations, and of bytes of their texts with the names of the parameters.
+const MAX_VARIED_VALUES: f64 = 500_000.0;
+const MAX_VARIED_BYTES: f64 = 64e6;
 /// Range of a normal distribution without limits, in standard deviations.
 const NORMAL_RANGE_DEVIATIONS: f64 = 6.0;
 
@@ -45,8 +53,8 @@ impl ParameterDistributionFile {
     /// # Errors
     /// [`ScenarioImportError`] for distributions that are not supported.
     pub fn from_bytes(bytes: &[u8]) -> Result<Self> {
-        let parsed = SourceElement::parse(bytes, Path::new("d.xosc"), "OpenSCENARIO")?;
-        Self::read(Rc::new(parsed), Path::new("f.xosc"))
+        let parsed = FileCache::new(false).parse(bytes, Path::new("d.xosc"), "OpenSCENARIO")?;
+        Self::read(parsed, Path::new("f.xosc"))
     }
 
     fn read(root: Rc<SourceElement>, scenario: &Path) -> Result<Self> {
@@ -63,6 +71,9 @@ impl ParameterDistributionFile {
         if Path::new(&stated).file_name() != scenario.file_name() {
             return Err(file.refuse(format!("the distributions are for `{stated}`, not for `{}`", scenario.display())));
         }
+        let distributions = ["Deterministic", "Stochastic"].iter().filter_map(|kind| holder.optional(kind));
+        let count = distributions.map(|list| list.children().count()).sum();
+        ensure_at_most(holder, count, MAX_DISTRIBUTIONS, "distributions")?;
         let (mut axes, mut random) = (Vec::new(), Vec::new());
         let mut known = BTreeSet::new();
         let mut add_names = |node: Node<'_>, names: BTreeSet<String>| match names.intersection(&known).next() {
@@ -100,21 +111,44 @@ impl ParameterDistributionFile {
         !self.random.is_empty()
     }
 
+    /// Returns the number of parameters with random values.
+    #[must_use]
+    pub fn random_count(&self) -> usize {
+        self.random.len()
+    }
+
     /// Returns all combinations of the deterministic values.
     ///
     /// # Errors
-    /// [`ScenarioImportError::Refused`] for more than [`MAX_VARIATIONS`].
+    /// [`ScenarioImportError::Refused`] for more than [`MAX_VARIATIONS`], or for too many or too long values.
     pub fn variations(&self) -> Result<Vec<Variation>> {
         let count = self.axes.iter().map(|axis| axis.len() as f64).product::<f64>();
         if count > MAX_VARIATIONS as f64 {
             let problem = format!("has {count} combinations of values, and {MAX_VARIATIONS} are allowed");
             return Err(self.root.refuse(problem));
         }
+        self.check_texts(count)?;
         let mut found: Vec<Variation> = vec![Vec::new()];
         for axis in &self.axes {
             found = found.iter().flat_map(|before| axis.iter().map(|more| [&before[..], more].concat())).collect();
         }
         Ok(found)
+    }
+
+    /// Refuses more values than all variations may have together.
+    fn check_texts(&self, variations: f64) -> Result<()> {
+        let (mut values, mut bytes) = (0.0, 0.0);
+        for axis in &self.axes {
+            let each = variations / axis.len() as f64;
+            let text = axis.iter().flatten().map(|(name, value)| name.len() + value.len()).sum::<usize>();
+            values += each * axis.iter().map(Vec::len).sum::<usize>() as f64;
+            bytes += each * text as f64;
+        }
+        if values > MAX_VARIED_VALUES || bytes > MAX_VARIED_BYTES {
+            let problem = format!("{MAX_VARIED_VALUES} values of parameters, or {MAX_VARIED_BYTES} bytes of them");
+            return Err(self.root.refuse(format!("the combinations have more than {problem}")));
+        }
+        Ok(())
     }
 }
 
@@ -123,6 +157,7 @@ fn read_deterministic(node: Node<'_>) -> Result<Vec<Variation>> {
     let values = match (node.name(), inner.name()) {
         ("DeterministicMultiParameterDistribution", "ValueSetDistribution") => {
             inner.only(&["ParameterValueSet"], &[])?;
+            ensure_at_most(inner, inner.children().count(), MAX_VARIATIONS, "sets of values")?;
             inner
                 .children()
                 .map(|set| set.children().map(read_assignment).collect())
@@ -141,6 +176,7 @@ fn read_deterministic(node: Node<'_>) -> Result<Vec<Variation>> {
 
 fn read_set(node: Node<'_>) -> Result<Vec<String>> {
     node.only(&["Element"], &[])?;
+    ensure_at_most(node, node.children().count(), MAX_VARIATIONS, "values")?;
     node.children().map(|element| element.text("value")).collect()
 }
 
@@ -179,6 +215,7 @@ fn read_random(node: Node<'_>) -> Result<DistributionSpec> {
         }
         _ => {
             node.only(&["HistogramBin"], &[])?;
+            ensure_at_most(node, node.children().count(), MAX_BINS, "bins")?;
             let (mut edges, mut weights): (Vec<f64>, Vec<f64>) = (Vec::new(), Vec::new());
             for bin in node.children() {
                 bin.only(&["Range"], &["weight"])?;

@@ -1,6 +1,7 @@
 //! Entities: bodies, limits and controllers.
 
 use super::error::ScenarioImportError;
+use super::limits::{MAX_ENTITIES, MAX_PARAMETERS, MAX_PROPERTIES, ensure_at_most};
 use super::parameters::{Parameters, read_assignment};
 use super::source::SourceFiles;
 use super::xml::Node;
@@ -47,6 +48,7 @@ pub const DELAY_PROPERTIES: [&str; 3] = ["reaction_delay_s", "actuator_lag_s", "
 
 pub(super) fn read_entities<'a>(node: Node<'a>, files: &SourceFiles<'_>) -> Result<Vec<Entity<'a>>> {
     node.only(&["ScenarioObject"], &[])?;
+    ensure_at_most(node, node.children().count(), MAX_ENTITIES, "entities")?;
     let mut found: Vec<Entity<'a>> = Vec::new();
     for object in node.children() {
         let entity = read_object(object, files)?;
@@ -117,12 +119,13 @@ fn note_unused(node: Node<'_>, names: Vec<String>, notes: &mut Vec<String>) {
 }
 
 fn read_properties(node: Node<'_>) -> Result<Vec<(String, String)>> {
-    let properties = node.named("Properties").flat_map(|list| list.children().collect::<Vec<_>>());
+    let properties = || node.named("Properties").flat_map(Node::children);
+    ensure_at_most(node, properties().count(), MAX_PROPERTIES, "properties")?;
     let read = |one: Node<'_>| match one.name() {
         "Property" => Ok((one.text("name")?, one.text("value")?)),
         _ => Ok((one.name().to_owned(), one.text("filepath")?)),
     };
-    properties.map(read).collect()
+    properties().map(read).collect()
 }
 
 fn read_body<'a>(object: Node<'a>, body: Node<'_>) -> Result<Entity<'a>> {
@@ -191,8 +194,9 @@ fn read_body<'a>(object: Node<'a>, body: Node<'_>) -> Result<Entity<'a>> {
 
 /// Returns the values of the parameters of a catalogue entry.
 pub(super) fn entry_parameters(reference: Node<'_>, entry: Node<'_>) -> Result<Parameters> {
-    let assignments = reference.named("ParameterAssignments").flat_map(|list| list.children().collect::<Vec<_>>());
-    let assigned = assignments.map(read_assignment).collect::<Result<Vec<_>>>()?;
+    let assignments = || reference.named("ParameterAssignments").flat_map(Node::children);
+    ensure_at_most(reference, assignments().count(), MAX_PARAMETERS, "assigned parameters")?;
+    let assigned = assignments().map(read_assignment).collect::<Result<Vec<_>>>()?;
     Parameters::declare(entry.optional("ParameterDeclarations"), &assigned)
 }
 

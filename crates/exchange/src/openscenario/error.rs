@@ -3,6 +3,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use crumple_core::observer::Stopped;
 use crumple_world::scenario::InvalidField;
 
 /// An error of importing OpenSCENARIO. Each names the file, and the line if there is one.
@@ -59,6 +60,9 @@ pub enum ScenarioImportError {
         /// Field and problem.
         invalid: InvalidField,
     },
+    /// The observer stopped the import.
+    #[error(transparent)]
+    Stopped(#[from] Stopped),
 }
 
 impl ScenarioImportError {

@@ -2,6 +2,7 @@
 
 use super::entities::Entity;
 use super::error::ScenarioImportError;
+use super::limits::{MAX_ENVIRONMENTS, MAX_INITIAL_ACTIONS, WORK_PER_INITIAL_SPEED, WorkBudget, ensure_at_most};
 use super::path_actions::lane_number;
 use super::road::{LanePlace, RoadMap};
 use super::source::SourceFiles;
@@ -10,6 +11,9 @@ use super::storyboard::{SpeedAction, StoryAction, entity_index, read_action, rea
 use super::xml::Node;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
+
+/// Friction coefficients of a scenario.
+const FRICTION_RANGE: std::ops::RangeInclusive<f64> = 0.01..=1.0;
 
 /// Initial state of all entities.
 pub(super) struct InitialState<'a> {
@@ -28,9 +32,13 @@ pub(super) fn read_initial<'a>(
     entities: &[Entity<'_>],
     roads: &RoadMap<'_>,
     files: &SourceFiles<'_>,
+    work: &WorkBudget,
 ) -> Result<InitialState<'a>> {
     init.only(&["Actions"], &[])?;
-    let count = entities.len();
+    let (groups, count) = (init.child("Actions")?, entities.len());
+    let actions = groups.children().map(|group| 1 + group.children().count()).sum();
+    ensure_at_most(groups, actions, MAX_INITIAL_ACTIONS, "actions and groups of them")?;
+    ensure_at_most(groups, groups.named("GlobalAction").count(), MAX_ENVIRONMENTS, "environments")?;
     let mut state = InitialState {
         places: Vec::new(),
         speeds_mps: vec![None; count],
@@ -42,7 +50,7 @@ pub(super) fn read_initial<'a>(
     let (mut positions, mut distances): (Vec<Option<Node<'a>>>, Vec<(usize, Node<'a>)>) =
         (vec![None; count], Vec::new());
     let mut speeds = Vec::new();
-    for group in init.child("Actions")?.children() {
+    for group in groups.children() {
         match group.name() {
             "GlobalAction" => read_environment(group.single()?, files, &mut state)?,
             "Private" => {
@@ -79,7 +87,7 @@ pub(super) fn read_initial<'a>(
         }
     }
     state.places = resolve_places(init, &positions, entities, roads)?;
-    resolve_speeds(speeds, &mut state)?;
+    resolve_speeds(speeds, &mut state, groups, work)?;
     for (entity, node) in distances {
         apply_distance(node, entity, entities, &mut state)?;
     }
@@ -101,7 +109,15 @@ fn read_conditions(environment: Node<'_>, state: &mut InitialState<'_>) -> Resul
     environment.only(&["ParameterDeclarations", "TimeOfDay", "Weather", "RoadCondition"], &["name"])?;
     for part in environment.children() {
         match part.name() {
-            "RoadCondition" => state.friction = part.number("frictionScaleFactor")?,
+            "RoadCondition" => {
+                let (friction, [least, most]) =
+                    (part.number("frictionScaleFactor")?, [FRICTION_RANGE.start(), FRICTION_RANGE.end()]);
+                if !FRICTION_RANGE.contains(&friction) {
+                    let problem = format!("must be from {least} to {most}, found {friction}");
+                    return Err(part.refuse(format!("attribute `frictionScaleFactor`: {problem}")));
+                }
+                state.friction = friction;
+            }
             "ParameterDeclarations" => {}
             _ => state.notes.push(part.note("has no influence on the motion")),
         }
@@ -117,23 +133,28 @@ fn resolve_places(
     roads: &RoadMap<'_>,
 ) -> Result<Vec<LanePlace>> {
     let mut found: Vec<Option<LanePlace>> = vec![None; positions.len()];
-    // Each pass resolves at least one position, or none is left that can be resolved.
-    for _ in 0..positions.len() {
-        for (index, position) in positions.iter().enumerate() {
-            let Some(position) = position else {
-                let name = entities.get(index).map_or("", |entity| entity.name.as_str());
-                return Err(init.refuse(format!("has no position of the entity `{name}`")));
-            };
-            if found.get(index).is_some_and(Option::is_none)
-                && let Some(place) = resolve_place(*position, &found, entities, roads)?
-                && let Some(slot) = found.get_mut(index)
-            {
-                *slot = Some(place);
+    for index in 0..positions.len() {
+        // Entities of which each is placed relative to the next one.
+        let mut waiting = vec![index];
+        while let Some(&entity) = waiting.last() {
+            if found.get(entity).is_some_and(Option::is_some) {
+                waiting.pop();
+                continue;
+            }
+            let position = positions.get(entity).copied().flatten().ok_or_else(|| {
+                let name = entities.get(entity).map_or("", |entity| entity.name.as_str());
+                init.refuse(format!("has no position of the entity `{name}`"))
+            })?;
+            match resolve_place(position, &found, entities, roads)? {
+                Some(place) => drop(found.get_mut(entity).map(|slot| slot.replace(place))),
+                None if waiting.len() > positions.len() => {
+                    return Err(init.refuse("positions of entities are relative to each other in a circle"));
+                }
+                None => waiting.push(entity_index(position, "entityRef", entities)?),
             }
         }
     }
-    let all: Option<Vec<LanePlace>> = found.iter().cloned().collect();
-    let all = all.ok_or_else(|| init.refuse("positions of entities are relative to each other in a circle"))?;
+    let all: Vec<LanePlace> = found.into_iter().flatten().collect();
     match all.iter().zip(positions).find(|(place, _)| all.first().is_some_and(|first| first.road != place.road)) {
         Some((_, Some(node))) => Err(node.refuse("entities must be on the same road")),
         _ => Ok(all),
@@ -195,9 +216,15 @@ pub(super) fn resolve_place(
 }
 
 /// Sets the initial speeds, of which some are relative to others.
-fn resolve_speeds<'a>(speeds: Vec<(usize, SpeedAction<'a>)>, state: &mut InitialState<'a>) -> Result<()> {
+fn resolve_speeds<'a>(
+    speeds: Vec<(usize, SpeedAction<'a>)>,
+    state: &mut InitialState<'a>,
+    actions: Node<'a>,
+    work: &WorkBudget,
+) -> Result<()> {
     let (mut waiting, mut rounds) = (speeds, 0);
     while !waiting.is_empty() {
+        work.spend(actions, WORK_PER_INITIAL_SPEED * waiting.len() as u64)?;
         let (mut later, count) = (Vec::new(), waiting.len());
         for (entity, action) in waiting {
             if action.dynamics.shape != TransitionShape::Step {

@@ -3,6 +3,7 @@
 use super::ImportedLaneScenario;
 use super::entities::Entity;
 use super::error::ScenarioImportError;
+use super::limits::{MAX_VEHICLE_STEPS, WORK_PER_SAMPLE};
 use super::replay::{EntityMotion, REPLAY_STEP_S, Replay};
 use super::speed_plan::SpeedPlan;
 use super::xml::Node;
@@ -49,6 +50,7 @@ impl LaneScenarioBuilder<'_, '_> {
             let text = format!("`{}` never starts within the {} s of the scenario", event.name, self.stop_s);
             self.replay.notes.push(event.node.note(text));
         }
+        self.check_work(start_s)?;
         let mut vehicles: Vec<LaneVehicle> = Vec::new();
         let count = self.drivers.len();
         for entity in 0..count {
@@ -73,6 +75,23 @@ impl LaneScenarioBuilder<'_, '_> {
         let under_test = self.replay.motion.iter().zip(&self.drivers);
         let active = under_test.filter(|(_, driver)| **driver == Some(Driver::UnderTest));
         active.map(|(motion, _)| motion.activated_s.unwrap_or(0.0)).reduce(f64::max).unwrap_or(0.0)
+    }
+
+    /// Refuses more steps than a scenario may have, and takes the work of checking them from the budget.
+    fn check_work(&self, start_s: f64) -> Result<()> {
+        let (steps, count) = (((self.stop_s - start_s) / REPLAY_STEP_S).max(0.0), self.drivers.len() as f64);
+        if steps * count > MAX_VEHICLE_STEPS {
+            let problem = format!("{count} vehicles for {:.0} s have more", self.stop_s - start_s);
+            return Err(self
+                .storyboard
+                .refuse(format!("a scenario may have {MAX_VEHICLE_STEPS} steps of vehicles, and {problem}")));
+        }
+        for motion in &self.replay.motion {
+            let state_work = motion.plan.state_work() * if motion.follows_path { 3 } else { 1 };
+            let samples = motion.plan.knots().len() as u64;
+            self.replay.work.spend(self.storyboard, steps as u64 * (10 + state_work) + WORK_PER_SAMPLE * samples)?;
+        }
+        Ok(())
     }
 
     fn vehicle(&mut self, entity: usize, lane: i32, start_s: f64) -> Result<LaneVehicle> {

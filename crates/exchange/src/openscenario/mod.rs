@@ -10,8 +10,11 @@
 mod distribution;
 mod entities;
 mod error;
+#[cfg(test)]
+mod hostile_tests;
 mod initial;
 mod lane_scenario;
+mod limits;
 mod parameters;
 mod path_actions;
 mod replay;
@@ -32,9 +35,10 @@ use std::rc::Rc;
 pub use distribution::{MAX_VARIATIONS, ParameterDistributionFile, Variation};
 pub use entities::{DELAY_PROPERTIES, UNDER_TEST_CONTROLLER};
 pub use error::ScenarioImportError;
-pub use xml::MAX_XML_BYTES;
+pub use xml::{MAX_XML_BYTES, MAX_XML_ITEMS};
 
 use self::lane_scenario::LaneScenarioBuilder;
+use self::limits::{WORK_PER_ITEM, WorkBudget};
 use self::parameters::Parameters;
 use self::replay::Replay;
 use self::road::RoadMap;
@@ -58,6 +62,7 @@ pub struct OpenScenarioSource {
     path: PathBuf,
     root: Rc<SourceElement>,
     files: FileCache,
+    work: WorkBudget,
 }
 
 /// An imported scenario.
@@ -73,10 +78,11 @@ impl OpenScenarioSource {
     /// Reads a file.
     ///
     /// # Errors
-    /// [`ScenarioImportError`] for a file that cannot be read, exceeds [`MAX_XML_BYTES`] or is not well-formed.
+    /// [`ScenarioImportError`] for a file that cannot be read, is not well-formed, or exceeds [`MAX_XML_BYTES`] or
+    /// [`MAX_XML_ITEMS`].
     pub fn load(path: &Path) -> Result<Self> {
         let files = FileCache::new(true);
-        Ok(Self { path: path.to_owned(), root: files.load(path, "OpenSCENARIO")?, files })
+        Ok(Self { path: path.to_owned(), root: files.load(path, "OpenSCENARIO")?, files, work: WorkBudget::new() })
     }
 
     /// Parses a file with its road, without reading others.
@@ -85,19 +91,21 @@ impl OpenScenarioSource {
     /// [`ScenarioImportError::Syntax`] for a text that is not well-formed.
     pub fn from_bytes(scenario: &[u8], road: &[u8]) -> Result<Self> {
         let (files, path) = (FileCache::new(false), Path::new("f.xosc"));
-        files.insert(Path::new("f.xodr"), SourceElement::parse(road, Path::new("f.xodr"), "OpenDRIVE")?);
-        let root = files.insert(path, SourceElement::parse(scenario, path, "OpenSCENARIO")?);
-        Ok(Self { path: path.to_owned(), root, files })
+        files.parse(road, Path::new("f.xodr"), "OpenDRIVE")?;
+        let root = files.parse(scenario, path, "OpenSCENARIO")?;
+        Ok(Self { path: path.to_owned(), root, files, work: WorkBudget::new() })
     }
 
     /// Interprets the file as a scenario on one lane. `ego` names the entity under test; without it, that is the only
     /// entity with an assigned controller. `assigned` replaces values of parameters.
     ///
     /// # Errors
-    /// [`ScenarioImportError`] names the file, the line, the element and the reason.
+    /// [`ScenarioImportError`] names the file, the line, the element and the reason. The work of all calls together is
+    /// limited (`docs/exchange.md`).
     pub fn scenario(&self, ego: Option<&str>, assigned: &[(String, String)]) -> Result<ImportedLaneScenario> {
         let none = Parameters::default();
         let root = Node { element: &self.root, parameters: &none };
+        self.work.spend(root, WORK_PER_ITEM * self.files.items() as u64)?;
         let declarations = root.optional("ParameterDeclarations");
         let parameters = Parameters::declare(declarations, assigned)?;
         if let Some((name, _)) = assigned.iter().find(|(name, _)| !parameters.contains(name)) {
@@ -121,17 +129,18 @@ impl OpenScenarioSource {
         let network = root.child("RoadNetwork")?;
         network.only(&["LogicFile", "SceneGraphFile"], &[])?;
         let road = files.road(network.child("LogicFile")?)?;
-        let roads = RoadMap::new(&road);
+        let roads = RoadMap::new(&road, &self.work);
         let entities = entities::read_entities(root.child("Entities")?, &files)?;
         let storyboard = root.child("Storyboard")?;
         storyboard.only(&["Init", "Story", "StopTrigger"], &[])?;
         let drivers = entities::assign_drivers(root.child("Entities")?, &entities, ego)?;
-        let initial = initial::read_initial(storyboard.child("Init")?, &entities, &roads, &files)?;
-        let Stories { events, mut event_triggers, mut act_triggers } = storyboard::read_stories(storyboard, &entities)?;
+        let initial = initial::read_initial(storyboard.child("Init")?, &entities, &roads, &files, &self.work)?;
+        let Stories { events, mut event_triggers, mut act_triggers, mut conditions, .. } =
+            storyboard::read_stories(storyboard, &entities)?;
         let is_controlled: Vec<bool> = drivers.iter().map(Option::is_some).collect();
         let friction = initial.friction;
-        let mut replay = Replay::new(&entities, initial, &is_controlled, events, &roads)?;
-        let (stop_s, stop_depends) = replay.run(&mut act_triggers, &mut event_triggers, storyboard)?;
+        let mut replay = Replay::new(&entities, initial, &is_controlled, events, &roads, &self.work)?;
+        let (stop_s, stop_depends) = replay.run(&mut act_triggers, &mut event_triggers, &mut conditions, storyboard)?;
         let (name, about) = self.name_and_about(header)?;
         LaneScenarioBuilder { storyboard, replay, drivers, friction, stop_s, stop_depends, name, about }.build()
     }

@@ -1,8 +1,9 @@
 //! Parameters: declarations, constraints, and the expressions that use them.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
 
 use super::error::ScenarioImportError;
+use super::limits::{MAX_PARAMETERS, MAX_VALUE_BYTES, ensure_at_most};
 use super::xml::Node;
 
 /// Maximum depth of parentheses in an expression.
@@ -10,7 +11,14 @@ const MAX_DEPTH: usize = 50;
 
 /// Values of parameters by name.
 #[derive(Debug, Default, Clone)]
-pub(super) struct Parameters(BTreeMap<String, String>);
+pub(super) struct Parameters(BTreeMap<String, ParameterValue>);
+
+#[derive(Debug, Clone)]
+struct ParameterValue {
+    text: String,
+    /// The value of a number, which expressions may use many times.
+    number: Option<f64>,
+}
 
 impl Parameters {
     /// Reads `ParameterDeclarations`; `assigned` replaces the declared values.
@@ -21,20 +29,31 @@ impl Parameters {
         let mut declared = Self::default();
         let Some(node) = declarations else { return Ok(declared) };
         node.only(&["ParameterDeclaration"], &[])?;
+        let groups = node.children().flat_map(Node::children);
+        let count = node.children().count() + groups.map(|group| 1 + group.children().count()).sum::<usize>();
+        ensure_at_most(node, count, MAX_PARAMETERS, "parameters and constraints")?;
+        ensure_at_most(node, assigned.len(), MAX_PARAMETERS, "assigned parameters")?;
+        let mut values: HashMap<&str, &str> = HashMap::new();
+        for (name, value) in assigned {
+            values.entry(name).or_insert(value);
+        }
         for one in node.children() {
             one.only(&["ConstraintGroup"], &["name", "parameterType", "value"])?;
             let name = one.text("name")?;
-            let of = |(other, _): &&(String, String)| *other == name;
-            let value = match assigned.iter().find(of) {
-                Some((_, value)) => value.clone(),
+            let text = match values.get(name.as_str()) {
+                Some(value) => (*value).to_owned(),
                 None => Node { parameters: &declared, ..one }.text("value")?,
             };
-            declared.0.insert(name, value);
+            if text.len() > MAX_VALUE_BYTES {
+                return Err(one.refuse(format!("the value of `{name}` has more than {MAX_VALUE_BYTES} bytes")));
+            }
+            let number = text.trim().parse().ok();
+            declared.0.insert(name, ParameterValue { text, number });
         }
         for one in node.children() {
             let one = Node { parameters: &declared, ..one };
-            let (parameter, value) = (one.text("name")?, declared.0.get(one.raw("name").unwrap_or_default()));
-            let value = value.cloned().unwrap_or_default();
+            let (parameter, value) = (one.text("name")?, declared.get(one.raw("name").unwrap_or_default()));
+            let value = value.unwrap_or_default().to_owned();
             let mut is_allowed = one.children().next().is_none();
             for group in one.children() {
                 group.only(&["ValueConstraint"], &[])?;
@@ -59,7 +78,7 @@ impl Parameters {
     }
 
     pub(super) fn get(&self, name: &str) -> Option<&str> {
-        self.0.get(name).map(String::as_str)
+        self.0.get(name).map(|value| value.text.as_str())
     }
 
     /// Returns the value of an attribute: the text, a parameter `$name`, or an expression `${...}`.
@@ -68,6 +87,9 @@ impl Parameters {
             return Ok(raw.to_owned());
         };
         if let Some(expression) = reference.strip_prefix('{').and_then(|rest| rest.strip_suffix('}')) {
+            if expression.len() > MAX_VALUE_BYTES {
+                return Err(format!("an expression has more than {MAX_VALUE_BYTES} bytes"));
+            }
             let mut parser = ExpressionParser { rest: expression, parameters: self, depth: 0 };
             let value = parser.sum()?;
             parser.skip_blanks();
@@ -158,8 +180,8 @@ impl ExpressionParser<'_> {
             self.closed_list()?.pop().ok_or("an empty expression")?
         } else if self.take('$') {
             let name = self.take_while(|letter| letter.is_alphanumeric() || letter == '_').to_owned();
-            let value = self.parameters.get(&name).ok_or_else(|| format!("there is no parameter `{name}`"))?;
-            value.trim().parse().map_err(|_| format!("the parameter `{name}` = `{value}` is not a number"))?
+            let value = self.parameters.0.get(&name).ok_or_else(|| format!("there is no parameter `{name}`"))?;
+            value.number.ok_or_else(|| format!("the parameter `{name}` = `{}` is not a number", value.text))?
         } else if self.rest.starts_with(|letter: char| letter.is_ascii_alphabetic()) {
             let name = self.take_while(|letter| letter.is_ascii_alphanumeric()).to_owned();
             let values = if self.take('(') { self.closed_list()? } else { Vec::new() };

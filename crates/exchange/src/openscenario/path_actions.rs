@@ -3,8 +3,9 @@
 use super::entities::Entity;
 use super::error::ScenarioImportError;
 use super::initial::resolve_place;
+use super::limits::WORK_PER_SAMPLE;
 use super::replay::{LaneChangeTimes, MAX_DURATION_S, Replay};
-use super::speed_plan::{TransitionDynamics, TransitionShape};
+use super::speed_plan::{TransitionDynamics, TransitionShape, take_samples};
 use super::storyboard::{StoryAction, entity_index};
 use super::xml::Node;
 
@@ -92,11 +93,13 @@ pub(super) fn read_trajectory<'a>(node: Node<'a>) -> Result<StoryAction<'a>> {
 impl<'a> Replay<'a, '_> {
     /// Returns times and positions of the vertices until the entity would leave its lane, which is an error.
     pub(super) fn trajectory_vertices(
-        &self,
+        &mut self,
         action: &TrajectoryAction<'a>,
         actor: usize,
         start_s: f64,
     ) -> Result<Vec<(f64, f64)>> {
+        take_samples(action.node, action.vertices.len(), &mut self.samples_left)?;
+        self.work.spend(action.node, WORK_PER_SAMPLE * action.vertices.len() as u64)?;
         let Some(motion) = self.motion.get(actor) else { return Ok(Vec::new()) };
         let shift_s = if action.is_relative { start_s } else { 0.0 };
         let mut vertices = Vec::new();

@@ -5,8 +5,9 @@
 use super::entities::Entity;
 use super::error::ScenarioImportError;
 use super::initial::InitialState;
+use super::limits::{ConditionCount, MAX_SAMPLES, WorkBudget};
 use super::road::RoadMap;
-use super::speed_plan::SpeedPlan;
+use super::speed_plan::{SpeedPlan, take_samples};
 use super::storyboard::{StoryAction, StoryEvent};
 use super::trigger::Trigger;
 use super::xml::Node;
@@ -17,9 +18,8 @@ type Result<T> = std::result::Result<T, ScenarioImportError>;
 pub(super) const REPLAY_STEP_S: f64 = crumple_world::scenario::PAPER_STEP_S;
 /// Maximum duration, in seconds.
 pub(super) const MAX_DURATION_S: f64 = 3600.0;
-
-/// Maximum number of steps times conditions times events.
-const MAX_REPLAY_WORK: usize = 200_000_000;
+/// Number of steps for which the work is computed together.
+const STEPS_PER_CHECK: usize = 100;
 
 /// Motion of one entity.
 pub(super) struct EntityMotion<'a> {
@@ -59,6 +59,8 @@ pub(super) struct Replay<'a, 'b> {
     pub(super) roads: &'b RoadMap<'b>,
     pub(super) road_id: String,
     pub(super) notes: Vec<String>,
+    pub(super) work: &'b WorkBudget,
+    pub(super) samples_left: usize,
     now_s: f64,
 }
 
@@ -69,6 +71,7 @@ impl<'a, 'b> Replay<'a, 'b> {
         is_controlled: &[bool],
         events: Vec<StoryEvent<'a>>,
         roads: &'b RoadMap<'b>,
+        work: &'b WorkBudget,
     ) -> Result<Self> {
         let motion = initial.places.iter().zip(&initial.speeds_mps).zip(is_controlled).zip(&initial.is_active);
         let motion = motion.map(|(((place, speed_mps), &is_controlled), &is_active)| EntityMotion {
@@ -83,7 +86,8 @@ impl<'a, 'b> Replay<'a, 'b> {
         });
         let motion = motion.collect();
         let road_id = initial.places.first().map_or_else(String::new, |place| place.road.clone());
-        let mut replay = Self { entities, motion, events, roads, road_id, notes: initial.notes, now_s: 0.0 };
+        let (notes, samples_left) = (initial.notes, MAX_SAMPLES);
+        let mut replay = Self { entities, motion, events, roads, road_id, notes, work, samples_left, now_s: 0.0 };
         for (entity, action) in initial.transitions {
             let reference_mps = action.target.reference.map_or(0.0, |other| replay.speed_mps(other, 0.0));
             let to_mps = action.target.speed_mps(action.node, reference_mps)?;
@@ -92,7 +96,7 @@ impl<'a, 'b> Replay<'a, 'b> {
                     return Err(action.node.refuse("the initial speed of a controlled entity must be a step"));
                 }
                 motion.actions.push((0.0, action.node));
-                motion.plan.change_speed(action.node, 0.0, to_mps, action.dynamics)?;
+                motion.plan.change_speed(action.node, 0.0, to_mps, action.dynamics, &mut replay.samples_left)?;
             }
         }
         Ok(replay)
@@ -103,18 +107,21 @@ impl<'a, 'b> Replay<'a, 'b> {
         &mut self,
         acts: &mut [Trigger<'a>],
         triggers: &mut [Trigger<'a>],
+        count: &mut ConditionCount,
         storyboard: Node<'a>,
     ) -> Result<(f64, bool)> {
         let stop = storyboard.optional("StopTrigger").filter(|stop| stop.children().next().is_some());
         let stop = stop.ok_or_else(|| storyboard.refuse("has no stop trigger, which determines the duration"))?;
-        let mut stop_trigger = Trigger::read(Some(stop), self.entities)?;
-        let conditions = triggers.iter().chain(acts.iter()).map(Trigger::conditions).sum::<usize>();
-        let work = (conditions + 1) * (self.events.len() + 1);
+        let mut stop_trigger = Trigger::read(Some(stop), self.entities, count)?;
         let mut act_starts_s = vec![None; acts.len()];
         let mut before_s = 0.0;
         for step in 0..=(MAX_DURATION_S / REPLAY_STEP_S) as usize {
-            if step.saturating_mul(work) > MAX_REPLAY_WORK {
-                return Err(storyboard.refuse("has too many events and conditions for its duration"));
+            if step % STEPS_PER_CHECK == 0 {
+                let acts = acts.iter().zip(&act_starts_s).filter(|(_, start_s)| start_s.is_none());
+                let events = triggers.iter().zip(&self.events).filter(|(_, event)| event.start_s.is_none());
+                let waiting = acts.map(|(trigger, _)| trigger).chain(events.map(|(trigger, _)| trigger));
+                let work = self.step_work(waiting.chain([&stop_trigger])) + self.events.len() as u64;
+                self.work.spend(storyboard, STEPS_PER_CHECK as u64 * work)?;
             }
             self.now_s = step as f64 * REPLAY_STEP_S;
             for (act, start_s) in acts.iter_mut().zip(&mut act_starts_s).filter(|(_, start_s)| start_s.is_none()) {
@@ -136,8 +143,20 @@ impl<'a, 'b> Replay<'a, 'b> {
         Err(stop.refuse(format!("does not fire within {MAX_DURATION_S} s")))
     }
 
+    /// Returns the work of a step that evaluates these triggers.
+    fn step_work<'t>(&self, triggers: impl Iterator<Item = &'t Trigger<'a>>) -> u64
+    where
+        'a: 't,
+    {
+        let elements: usize = self.events.iter().map(|event| 1 + event.actions.len()).sum();
+        let state_work = self.motion.iter().map(|motion| motion.plan.state_work()).max().unwrap_or_default();
+        triggers.map(|trigger| trigger.work(elements as u64, state_work)).sum()
+    }
+
     fn start_event(&mut self, index: usize, start_s: f64, depends: bool) -> Result<()> {
         let Some(mut event) = self.events.get(index).cloned() else { return Ok(()) };
+        let per_event = |event: &StoryEvent<'_>| 5 + event.actors.len() + event.actions.len();
+        self.work.spend(event.node, 5 * self.events.iter().map(per_event).sum::<usize>() as u64)?;
         for (_, action) in &*event.actions {
             let mut end_s = start_s;
             for &actor in &event.actors {
@@ -155,7 +174,13 @@ impl<'a, 'b> Replay<'a, 'b> {
 
     /// Ends the running actions that an action on the speed of the same entities replaces.
     fn stop_earlier_actions(&mut self, actors: &[usize], time_s: f64) {
-        for event in self.events.iter_mut().filter(|event| event.actors.iter().any(|actor| actors.contains(actor))) {
+        let mut is_actor = vec![false; self.entities.len()];
+        for actor in actors {
+            is_actor.get_mut(*actor).map(|is_actor| std::mem::replace(is_actor, true));
+        }
+        let has_actor =
+            |event: &&mut StoryEvent<'_>| event.actors.iter().any(|actor| is_actor.get(*actor) == Some(&true));
+        for event in self.events.iter_mut().filter(has_actor) {
             for ((_, action), end_s) in event.actions.iter().zip(&mut event.action_ends_s) {
                 *end_s = if action.changes_speed() { end_s.min(time_s) } else { *end_s };
             }
@@ -192,13 +217,18 @@ impl<'a, 'b> Replay<'a, 'b> {
             motion.actions.push((start_s, event));
             return Ok(start_s);
         }
-        let before = motion.plan.clone();
+        // Discarding the rest of the plan, and comparing it with the new one.
+        let work_per_knot = if depends { 5 + 2 * motion.plan.state_work() } else { 5 };
+        self.work.spend(event, work_per_knot * motion.plan.knots().len() as u64)?;
+        let before = depends.then(|| motion.plan.clone());
         let (node, end_s) = match action {
             StoryAction::Speed(speed) => {
                 let to_mps = speed.target.speed_mps(speed.node, reference_mps)?;
-                (speed.node, motion.plan.change_speed(speed.node, start_s, to_mps, speed.dynamics)?)
+                let (node, left) = (speed.node, &mut self.samples_left);
+                (node, motion.plan.change_speed(node, start_s, to_mps, speed.dynamics, left)?)
             }
             StoryAction::SpeedProfile(entries) => {
+                take_samples(event, entries.len(), &mut self.samples_left)?;
                 motion.is_recorded = true;
                 motion.plan.cut(start_s);
                 let mut time_s = start_s;
@@ -216,8 +246,10 @@ impl<'a, 'b> Replay<'a, 'b> {
             StoryAction::LaneChange(_) | StoryAction::Activate => (event, start_s),
         };
         motion.actions.push((start_s, node));
-        let changes_speed = motion.plan.knots().iter().any(|knot| before.at(knot.time_s).speed_mps != knot.speed_mps);
-        if changes_speed && depends {
+        let differs = |before: SpeedPlan| {
+            motion.plan.knots().iter().any(|knot| before.at(knot.time_s).speed_mps != knot.speed_mps)
+        };
+        if before.is_some_and(differs) {
             return Err(node.refuse("depends on an entity with a controller: scripts depend only on the time"));
         }
         self.notes.extend(

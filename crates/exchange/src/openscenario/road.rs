@@ -1,9 +1,11 @@
 //! Straight roads of an OpenDRIVE file, and places on their lanes.
 
 use std::cell::RefCell;
+use std::collections::HashMap;
 use std::rc::Rc;
 
 use super::error::ScenarioImportError;
+use super::limits::{MAX_LANES, WORK_PER_ROAD, WorkBudget, ensure_at_most};
 use super::xml::{Node, SourceElement};
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
@@ -19,6 +21,8 @@ pub(super) struct StraightRoad {
     id: String,
     origin_m: [f64; 2],
     heading_rad: f64,
+    /// Cosine and sine of the heading.
+    direction: [f64; 2],
     length_m: f64,
     /// True if lanes with negative numbers have the direction of the road.
     is_right_hand: bool,
@@ -45,12 +49,15 @@ pub(super) struct LanePlace {
 /// Roads of a file. Each is read at its first use.
 pub(super) struct RoadMap<'a> {
     file: &'a SourceElement,
+    work: &'a WorkBudget,
     known: RefCell<Vec<Rc<StraightRoad>>>,
+    /// Roads that were read, by their index in the file; `None` for one that is not supported.
+    read: RefCell<HashMap<usize, Option<Rc<StraightRoad>>>>,
 }
 
 impl<'a> RoadMap<'a> {
-    pub(super) fn new(file: &'a SourceElement) -> Self {
-        Self { file, known: RefCell::default() }
+    pub(super) fn new(file: &'a SourceElement, work: &'a WorkBudget) -> Self {
+        Self { file, work, known: RefCell::default(), read: RefCell::default() }
     }
 
     /// Returns the road with an identifier, or, without one, the road that contains a point of the world.
@@ -59,23 +66,36 @@ impl<'a> RoadMap<'a> {
         if let Some(found) = self.known.borrow().iter().find(|road| is_wanted(road)) {
             return Ok(found.clone());
         }
+        self.work.spend(node, WORK_PER_ROAD * self.file.children().len() as u64)?;
         let mut refused = None;
-        for road in (Node { element: self.file, ..node }).named("road") {
-            let may_be = id.is_none_or(|id| road.raw("id") == Some(id));
-            match may_be.then(|| StraightRoad::read(road)) {
-                Some(Ok(found)) if is_wanted(&found) => {
-                    let found = Rc::new(found);
-                    self.known.borrow_mut().push(found.clone());
-                    return Ok(found);
-                }
-                Some(Err(error)) => refused = refused.or(Some(error)),
-                _ => {}
+        for (index, road) in (Node { element: self.file, ..node }).named("road").enumerate() {
+            if id.is_some_and(|id| road.raw("id") != Some(id)) {
+                continue;
+            }
+            let mut read = self.read.borrow_mut();
+            match read.entry(index).or_insert_with(|| StraightRoad::read(road).ok().map(Rc::new)) {
+                Some(found) if is_wanted(found) => return self.add_known(road, found.clone()),
+                Some(_) => {}
+                None => refused = refused.or(Some(road)),
             }
         }
-        Err(refused.unwrap_or_else(|| match id {
-            Some(id) => node.refuse(format!("there is no road `{id}`")),
-            None => node.refuse(format!("no road contains the point x = {}, y = {}", point_m[0], point_m[1])),
-        }))
+        match (refused, id) {
+            (Some(road), _) => StraightRoad::read(road).map(Rc::new),
+            (None, Some(id)) => Err(node.refuse(format!("there is no road `{id}`"))),
+            (None, None) => {
+                Err(node.refuse(format!("no road contains the point x = {}, y = {}", point_m[0], point_m[1])))
+            }
+        }
+    }
+
+    /// Adds a road in use, which must be the only one of its identifier.
+    fn add_known(&self, node: Node<'_>, road: Rc<StraightRoad>) -> Result<Rc<StraightRoad>> {
+        let mut known = self.known.borrow_mut();
+        if known.iter().any(|other| other.id == road.id) {
+            return Err(node.refuse(format!("there are two roads `{}`", road.id)));
+        }
+        known.push(road.clone());
+        Ok(road)
     }
 }
 
@@ -117,12 +137,13 @@ impl StraightRoad {
         let is_right_hand = road.raw("rule") != Some("LHT");
         let lanes = read_lanes(road.child("lanes")?)?;
         let id = road.text("id")?;
-        Ok(Self { id, origin_m, heading_rad, length_m, is_right_hand, lanes })
+        let direction = [libm::cos(heading_rad), libm::sin(heading_rad)];
+        Ok(Self { id, origin_m, heading_rad, direction, length_m, is_right_hand, lanes })
     }
 
     /// Returns the position along the road and the lateral position of a point on the road.
     fn project(&self, [x_m, y_m]: [f64; 2]) -> Option<[f64; 2]> {
-        let (sine, cosine) = (libm::sin(self.heading_rad), libm::cos(self.heading_rad));
+        let [cosine, sine] = self.direction;
         let [dx_m, dy_m] = [x_m - self.origin_m[0], y_m - self.origin_m[1]];
         let [s_m, lateral_m] = [dx_m * cosine + dy_m * sine, dy_m * cosine - dx_m * sine];
         let is_inside = |lane: &Lane| (lateral_m - lane.middle_m).abs() <= lane.width_m / 2.0;
@@ -159,7 +180,7 @@ impl StraightRoad {
     /// Position of the start of the road along its direction, so that positions are x on a road along x.
     fn start_m(&self) -> f64 {
         let [x_m, y_m] = self.origin_m;
-        x_m * libm::cos(self.heading_rad) + y_m * libm::sin(self.heading_rad)
+        x_m * self.direction[0] + y_m * self.direction[1]
     }
 
     /// Returns the place of a point of the world. `heading_rad` must be the direction of travel.
@@ -221,6 +242,7 @@ fn read_lanes(lanes: Node<'_>) -> Result<Vec<Lane>> {
             "right" => -1.0,
             _ => continue,
         };
+        ensure_at_most(side, found.len() + side.children().count(), MAX_LANES, "lanes")?;
         let mut ordered = Vec::new();
         for lane in side.named("lane") {
             let id = lane.number("id")?;

@@ -3,6 +3,7 @@
 //! A space varies fields of a scenario, so each parameter must change exactly one number, in proportion. The scenarios
 //! at three values of each parameter show which.
 
+use crumple_core::observer::{Observer, ProgressCounter, RunProgress};
 use serde_json::Value;
 
 use super::distribution::ParameterDistributionFile;
@@ -17,22 +18,27 @@ type Result<T> = std::result::Result<T, ScenarioImportError>;
 
 /// Largest deviation from proportionality, relative to the change.
 const PROPORTION_TOLERANCE: f64 = 1e-6;
+/// Maximum number of fields that an error lists.
+const MAX_LISTED: usize = 10;
 
 impl OpenScenarioSource {
-    /// Returns the space of the random values of a file.
+    /// Returns the space of the random values of a file. `progress` receives the number of imported scenarios.
     ///
     /// # Errors
-    /// [`ScenarioImportError`] for a scenario that cannot be imported, and for a parameter that does not change exactly
-    /// one number of the scenario in proportion.
+    /// [`ScenarioImportError`] if `progress` stops the import, for a scenario that cannot be imported, and for a
+    /// parameter that does not change exactly one number of the scenario in proportion.
     pub fn space(
         &self,
         ego: Option<&str>,
         distributions: &ParameterDistributionFile,
+        progress: &dyn Observer<RunProgress>,
     ) -> Result<(ScenarioSpace, Vec<String>)> {
         let refuse = |problem: String| distributions.root.refuse(problem);
+        let counter = ProgressCounter::new(progress, Some(1 + 3 * distributions.random.len() as u64));
         let means: Vec<(String, String)> =
             distributions.random.iter().map(|(name, of)| (name.clone(), middle(of).to_string())).collect();
         let ImportedLaneScenario { scenario, notes } = self.scenario(ego, &means)?;
+        counter.add(1)?;
         let mut base = scenario.spec().clone();
         let mut parameters = Vec::new();
         for (name, distribution) in &distributions.random {
@@ -40,7 +46,9 @@ impl OpenScenarioSource {
             let at = |value: f64| {
                 let mut assigned = means.clone();
                 assigned.iter_mut().filter(|(other, _)| other == name).for_each(|(_, old)| *old = value.to_string());
-                Ok(self.scenario(ego, &assigned)?.scenario.spec().clone())
+                let imported = self.scenario(ego, &assigned)?;
+                counter.add(1)?;
+                Ok::<_, ScenarioImportError>(imported.scenario.spec().clone())
             };
             let (middle, mut first, mut last) = (0.5 * (low + high), at(low)?, at(high)?);
             let mut between = at(middle)?;
@@ -55,7 +63,7 @@ impl OpenScenarioSource {
                 [(field, Some(found))] => (field, *found),
                 [] => return Err(refuse(format!("the parameter `{name}` changes nothing"))),
                 several => {
-                    let fields: Vec<_> = several.iter().map(|(field, _)| field.as_str()).collect();
+                    let fields: Vec<_> = several.iter().take(MAX_LISTED).map(|(field, _)| field.as_str()).collect();
                     let problem = format!("the parameter `{name}` changes {}, not one number", fields.join(", "));
                     return Err(refuse(problem));
                 }

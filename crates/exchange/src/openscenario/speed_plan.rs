@@ -1,6 +1,7 @@
 //! Speeds of an entity over time, and the transitions of actions.
 
 use super::error::ScenarioImportError;
+use super::limits::MAX_SAMPLES;
 use super::xml::Node;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
@@ -94,6 +95,15 @@ impl TransitionDynamics {
     }
 }
 
+/// Takes samples from those that a file may still have.
+pub(super) fn take_samples(node: Node<'_>, samples: usize, left: &mut usize) -> Result<()> {
+    *left = left.checked_sub(samples).ok_or_else(|| {
+        let what = "samples of curved transitions, entries of speed profiles and vertices of trajectories";
+        node.refuse(format!("the scenario has more than {MAX_SAMPLES} {what}"))
+    })?;
+    Ok(())
+}
+
 /// Piecewise linear speed over time, and the position that follows from it.
 #[derive(Debug, Clone)]
 pub(super) struct SpeedPlan {
@@ -110,6 +120,11 @@ pub(super) struct SpeedKnot {
 impl SpeedPlan {
     pub(super) fn constant(position_m: f64, speed_mps: f64) -> Self {
         Self { knots: vec![SpeedKnot { time_s: 0.0, speed_mps, position_m }] }
+    }
+
+    /// Returns the work of finding the state at a time.
+    pub(super) fn state_work(&self) -> u64 {
+        8 + 4 * u64::from(self.knots.len().max(1).ilog2())
     }
 
     pub(super) fn knots(&self) -> &[SpeedKnot] {
@@ -147,13 +162,15 @@ impl SpeedPlan {
         }
     }
 
-    /// Changes the speed from a time on, and returns the end of the change; infinite if it never ends.
+    /// Changes the speed from a time on, and returns the end of the change; infinite if it never ends. Takes the
+    /// samples of a curved change from `samples_left`.
     pub(super) fn change_speed(
         &mut self,
         node: Node<'_>,
         from_s: f64,
         to_mps: f64,
         dynamics: TransitionDynamics,
+        samples_left: &mut usize,
     ) -> Result<f64> {
         self.cut(from_s);
         let from_mps = self.at(from_s).speed_mps;
@@ -168,6 +185,7 @@ impl SpeedPlan {
         }
         if !is_straight {
             let samples = (duration_s / SAMPLE_S).ceil();
+            take_samples(node, samples as usize, samples_left)?;
             for sample in 1..samples as usize {
                 let share = sample as f64 / samples;
                 let speed_mps = from_mps + (to_mps - from_mps) * dynamics.progress(share);

@@ -4,6 +4,7 @@ use std::rc::Rc;
 
 use super::entities::Entity;
 use super::error::ScenarioImportError;
+use super::limits::{ConditionCount, MAX_ENTITIES, MAX_EVENT_ACTIONS, MAX_EVENTS, ensure_at_most};
 use super::path_actions::{LaneChangeAction, TrajectoryAction, read_lane_change, read_trajectory};
 use super::speed_plan::TransitionDynamics;
 use super::trigger::Trigger;
@@ -18,6 +19,10 @@ pub(super) struct Stories<'a> {
     pub(super) event_triggers: Vec<Trigger<'a>>,
     /// Start triggers of the acts.
     pub(super) act_triggers: Vec<Trigger<'a>>,
+    /// Conditions of all triggers.
+    pub(super) conditions: ConditionCount,
+    /// Number of actions, each counted for each entity that does it.
+    actions: usize,
 }
 
 /// An event, and when it happened in the replay.
@@ -91,7 +96,13 @@ pub(super) fn entity_index(node: Node<'_>, attribute: &str, entities: &[Entity<'
 
 /// Reads all events with their triggers.
 pub(super) fn read_stories<'a>(storyboard: Node<'a>, entities: &[Entity<'_>]) -> Result<Stories<'a>> {
-    let mut stories = Stories { events: Vec::new(), event_triggers: Vec::new(), act_triggers: Vec::new() };
+    let mut stories = Stories {
+        events: Vec::new(),
+        event_triggers: Vec::new(),
+        act_triggers: Vec::new(),
+        conditions: ConditionCount::default(),
+        actions: 0,
+    };
     for story in storyboard.named("Story") {
         story.only(&["Act", "ParameterDeclarations"], &["name"])?;
         if let Some(declared) = story.named("ParameterDeclarations").find_map(|list| list.children().next()) {
@@ -106,7 +117,9 @@ pub(super) fn read_stories<'a>(storyboard: Node<'a>, entities: &[Entity<'_>]) ->
                 let names = [story.text("name")?, act.text("name")?, group.text("name")?];
                 read_group(group, names, entities, &mut stories)?;
             }
-            stories.act_triggers.push(Trigger::read(act.optional("StartTrigger"), entities)?);
+            let trigger = Trigger::read(act.optional("StartTrigger"), entities, &mut stories.conditions)?;
+            stories.act_triggers.push(trigger);
+            ensure_at_most(storyboard, stories.act_triggers.len(), MAX_EVENTS, "acts")?;
         }
     }
     Ok(stories)
@@ -125,6 +138,7 @@ fn read_group<'a>(
     if list.flag("selectTriggeringEntities", false)? {
         return Err(list.refuse("triggering entities as actors are not supported"));
     }
+    ensure_at_most(list, list.children().count(), MAX_ENTITIES, "entities")?;
     let actors = list.children().map(|actor| entity_index(actor, "entityRef", entities)).collect::<Result<Vec<_>>>()?;
     for maneuver in group.named("Maneuver") {
         maneuver.only(&["Event", "ParameterDeclarations"], &["name"])?;
@@ -135,13 +149,18 @@ fn read_group<'a>(
             if actors.is_empty() {
                 return Err(list.refuse("names no entity for the actions of the events"));
             }
+            ensure_at_most(group, stories.events.len() + 1, MAX_EVENTS, "events, with those before it")?;
+            stories.actions += actors.len() * node.named("Action").count().max(1);
+            let what = "actions of events, each counted for each of its entities";
+            ensure_at_most(node, stories.actions, MAX_EVENT_ACTIONS, what)?;
             let mut actions = Vec::new();
             for action in node.named("Action") {
                 action.only(&["PrivateAction"], &["name"])?;
                 let inner = action.single()?.single()?;
                 actions.push((action.text("name")?, read_action(inner, entities)?));
             }
-            stories.event_triggers.push(Trigger::read(node.optional("StartTrigger"), entities)?);
+            let trigger = Trigger::read(node.optional("StartTrigger"), entities, &mut stories.conditions)?;
+            stories.event_triggers.push(trigger);
             stories.events.push(StoryEvent {
                 node,
                 name: node.text("name")?,

@@ -1,22 +1,23 @@
 use super::{OpenScenarioSource, ParameterDistributionFile};
+use crumple_core::observer::Quiet;
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::{Driver, LaneChange, LeadProfile, Scenario};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, simulate};
 
 /// A road of two lanes of 3.5 m to the right of the reference line, which starts at x = 10 m.
-const ROAD: &str = r#"<OpenDRIVE><road id="7" length="5000" junction="-1">
+pub(super) const ROAD: &str = r#"<OpenDRIVE><road id="7" length="5000" junction="-1">
 <planView><geometry s="0" x="10" y="0" hdg="0" length="5000"><line/></geometry></planView>
 <lanes><laneSection s="0"><center><lane id="0"/></center><right>
 <lane id="-1" type="driving"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane>
 <lane id="-2" type="driving"><width sOffset="0" a="3.5" b="0" c="0" d="0"/></lane>
 </right></laneSection></lanes></road></OpenDRIVE>"#;
 
-const TIME: &str = r#"<ByValueCondition>
+pub(super) const TIME: &str = r#"<ByValueCondition>
 <SimulationTimeCondition value="2" rule="greaterOrEqual"/></ByValueCondition>"#;
 
 /// Returns a file with a vehicle `other` that does an action when a condition is true, and the vehicle `ego` behind it.
-fn file(place: &str, action: &str, condition: &str) -> String {
+pub(super) fn file(place: &str, action: &str, condition: &str) -> String {
     let vehicle = |name: &str, controller: &str| {
         format!(
             r#"<ScenarioObject name="{name}"><Vehicle name="car" vehicleCategory="car"><BoundingBox>
@@ -69,11 +70,11 @@ dynamicsDimension="time" value="0"/><SpeedActionTarget>{speed}</SpeedActionTarge
     )
 }
 
-fn same_lane() -> &'static str {
+pub(super) fn same_lane() -> &'static str {
     r#"<LanePosition roadId="7" laneId="-1" offset="0" s="140"/>"#
 }
 
-fn speed_action(shape: &str, dimension: &str, value: &str, target_mps: f64) -> String {
+pub(super) fn speed_action(shape: &str, dimension: &str, value: &str, target_mps: f64) -> String {
     format!(
         r#"<LongitudinalAction><SpeedAction>
 <SpeedActionDynamics dynamicsShape="{shape}" dynamicsDimension="{dimension}"
@@ -82,7 +83,7 @@ value="{value}"/><SpeedActionTarget><AbsoluteTargetSpeed value="{target_mps}"/><
     )
 }
 
-fn lane_change(target: &str) -> String {
+pub(super) fn lane_change(target: &str) -> String {
     format!(
         r#"<LateralAction><LaneChangeAction><LaneChangeActionDynamics dynamicsShape="linear" dynamicsDimension="time"
 value="3.5"/><LaneChangeTarget><AbsoluteTargetLane value="{target}"/></LaneChangeTarget></LaneChangeAction>
@@ -186,10 +187,10 @@ fn content_that_one_lane_cannot_represent_is_refused_by_name() {
     let error = OpenScenarioSource::from_bytes(good.as_bytes(), curved.as_bytes()).unwrap().scenario(None, &[]);
     assert_eq!(error.unwrap_err().to_string(), "f.xodr:2: arc: the road must be straight");
     let many = "<a b=''>".repeat(1_100_000);
-    assert!(import(&many).unwrap_err().ends_with(":1: there are more than 2000000 tags and attributes"));
+    assert!(import(&many).unwrap_err().contains(":1: there are more than 1000000 tags and attributes"));
     let deep = "<a>".repeat(100_000);
     assert!(import(&deep).unwrap_err().contains("nested deeper than 64"));
-    let parentheses = good.replace("${round($speed)", &format!("${{{}", "(".repeat(100_000)));
+    let parentheses = good.replace("${round($speed)", &format!("${{{}", "(".repeat(900)));
     assert!(import(&parentheses).unwrap_err().contains("nested deeper than 50"));
 }
 
@@ -274,7 +275,7 @@ value="300"/></ParameterValueSet></ValueSetDistribution></DeterministicMultiPara
         (r#"<UniformDistribution><Range lowerLimit="2" upperLimit="6"/></UniformDistribution>"#, 4.0),
         (r#"<NormalDistribution expectedValue="4" variance="0.25"/>"#, 4.0),
     ] {
-        let (space, _) = source.space(None, &stochastic("rate", law).unwrap()).unwrap();
+        let (space, _) = source.space(None, &stochastic("rate", law).unwrap(), &Quiet).unwrap();
         assert_eq!(space.spec().parameters[0].field, "vehicles[0].driver.brake-to-speed.rate_mps2");
         let rate = |index| match &space.draw(1, index).unwrap().vehicles()[0].driver {
             Driver::Profile(LeadProfile::BrakeToSpeed(brake)) => brake.rate_mps2,
@@ -284,7 +285,7 @@ value="300"/></ParameterValueSet></ValueSetDistribution></DeterministicMultiPara
         assert!((mean - mean_mps2).abs() < 0.1, "{law}: {mean}");
     }
     let uniform = r#"<UniformDistribution><Range lowerLimit="50" upperLimit="60"/></UniformDistribution>"#;
-    let refused = source.space(None, &stochastic("speed", uniform).unwrap()).unwrap_err().to_string();
+    let refused = source.space(None, &stochastic("speed", uniform).unwrap(), &Quiet).unwrap_err().to_string();
     assert!(refused.contains("`speed` changes vehicles[0].speed_mps, vehicles[1].speed_mps, not"), "{refused}");
     let twice = distributions(
         r#"<Stochastic numberOfTestRuns="9"><StochasticDistribution parameterName="rate"><NormalDistribution

@@ -2,6 +2,7 @@
 
 use super::entities::Entity;
 use super::error::ScenarioImportError;
+use super::limits::ConditionCount;
 use super::replay::Replay;
 use super::storyboard::entity_index;
 use super::xml::Node;
@@ -94,18 +95,29 @@ impl ConditionThreshold {
 }
 
 impl<'a> Trigger<'a> {
-    pub(super) fn read(node: Option<Node<'a>>, entities: &[Entity<'_>]) -> Result<Self> {
+    pub(super) fn read(node: Option<Node<'a>>, entities: &[Entity<'_>], count: &mut ConditionCount) -> Result<Self> {
         let Some(node) = node else { return Ok(Self { groups: None }) };
         node.only(&["ConditionGroup"], &[])?;
-        let group = |group: Node<'a>| {
+        let mut groups = Vec::new();
+        for group in node.children() {
             group.only(&["Condition"], &[])?;
-            group.children().map(|condition| Condition::read(condition, entities)).collect::<Result<Vec<_>>>()
-        };
-        Ok(Self { groups: Some(node.children().map(group).collect::<Result<Vec<_>>>()?) })
+            count.add_group(group)?;
+            let conditions = group.children().map(|condition| Condition::read(condition, entities, count));
+            groups.push(conditions.collect::<Result<Vec<_>>>()?);
+        }
+        Ok(Self { groups: Some(groups) })
     }
 
-    pub(super) fn conditions(&self) -> usize {
-        self.groups.iter().flatten().map(Vec::len).sum()
+    /// Returns the work of one evaluation: `elements` is the number of events and actions, `state_work` that of finding
+    /// the state of an entity.
+    pub(super) fn work(&self, elements: u64, state_work: u64) -> u64 {
+        let condition = |condition: &Condition<'_>| match &condition.kind {
+            ConditionKind::Time(_) => 5,
+            ConditionKind::Element { .. } => 5 + 4 * elements,
+            ConditionKind::Entity { who, .. } => 5 + 4 * state_work * who.len() as u64,
+        };
+        let group = |group: &Vec<Condition<'_>>| 2 + group.iter().map(condition).sum::<u64>();
+        2 + self.groups.iter().flatten().map(group).sum::<u64>()
     }
 
     /// Returns the time at which the trigger fired in the step from `before_s` to `now_s`, and whether it depends on a
@@ -131,7 +143,7 @@ impl<'a> Trigger<'a> {
 }
 
 impl<'a> Condition<'a> {
-    fn read(node: Node<'a>, entities: &[Entity<'_>]) -> Result<Self> {
+    fn read(node: Node<'a>, entities: &[Entity<'_>], count: &mut ConditionCount) -> Result<Self> {
         node.only(&["ByValueCondition", "ByEntityCondition"], &["name", "delay", "conditionEdge"])?;
         let edge = match node.text("conditionEdge")?.as_str() {
             "none" => ConditionEdge::None,
@@ -142,9 +154,10 @@ impl<'a> Condition<'a> {
         let inner = node.single()?;
         let kind = match inner.name() {
             "ByValueCondition" => read_value_condition(inner.single()?)?,
-            _ => read_entity_condition(inner, entities)?,
+            _ => read_entity_condition(inner, entities, count)?,
         };
         let delay_s = node.optional_number("delay")?.unwrap_or(0.0).max(0.0);
+        count.add_delay_s(node, delay_s)?;
         Ok(Self { node, kind, edge, delay_s, before: None, pending_s: Default::default() })
     }
 
@@ -223,11 +236,12 @@ fn read_value_condition(node: Node<'_>) -> Result<ConditionKind> {
     }
 }
 
-fn read_entity_condition(node: Node<'_>, entities: &[Entity<'_>]) -> Result<ConditionKind> {
+fn read_entity_condition(node: Node<'_>, entities: &[Entity<'_>], count: &mut ConditionCount) -> Result<ConditionKind> {
     node.only(&["TriggeringEntities", "EntityCondition"], &[])?;
     let triggering = node.child("TriggeringEntities")?;
     triggering.only(&["EntityRef"], &["triggeringEntitiesRule"])?;
     triggering.expect("triggeringEntitiesRule", &["any", "all"])?;
+    count.add_entities(triggering, triggering.children().count())?;
     let needs_all = triggering.text("triggeringEntitiesRule")? == "all";
     let who = triggering.children().map(|one| entity_index(one, "entityRef", entities)).collect::<Result<Vec<_>>>()?;
     let condition = node.child("EntityCondition")?.single()?;

@@ -3,6 +3,7 @@
 use std::path::Path;
 use std::sync::Arc;
 
+use crumple_core::quoting::shorten_message;
 use quick_xml::events::{BytesStart, Event};
 use quick_xml::{Reader, XmlVersion};
 
@@ -11,12 +12,16 @@ use super::parameters::Parameters;
 
 type Result<T> = std::result::Result<T, ScenarioImportError>;
 
-/// Maximum size of a file, in bytes.
+/// Maximum size of a scenario with its road and its catalogues, in bytes.
 pub const MAX_XML_BYTES: u64 = 64 << 20;
+/// Maximum number of tags and attributes of these files.
+pub const MAX_XML_ITEMS: usize = 1_000_000;
 /// Maximum depth of an element.
 const MAX_DEPTH: usize = 64;
-/// Maximum number of tags and attributes of a file.
-const MAX_ITEMS: usize = 2_000_000;
+/// Maximum number of attributes of an element.
+const MAX_ATTRIBUTES: usize = 100;
+/// Maximum length of a name or an attribute, in bytes.
+const MAX_ATTRIBUTE_BYTES: usize = 64 << 10;
 
 /// An element of a file.
 #[derive(Debug)]
@@ -30,20 +35,24 @@ pub(super) struct SourceElement {
 }
 
 impl SourceElement {
-    /// Parses a file, and checks the name of its root.
-    pub(super) fn parse(bytes: &[u8], path: &Path, root: &str) -> Result<Self> {
+    /// Parses a file of at most `most_items` tags and attributes, and checks the name of its root.
+    pub(super) fn parse(bytes: &[u8], path: &Path, root: &str, most_items: usize) -> Result<Self> {
         let path: Arc<Path> = path.into();
-        let syntax = |line, problem: String| ScenarioImportError::Syntax { path: path.to_path_buf(), line, problem };
+        let syntax = |line, problem: String| {
+            let problem = shorten_message(&problem).into_owned();
+            ScenarioImportError::Syntax { path: path.to_path_buf(), line, problem }
+        };
         let text = std::str::from_utf8(bytes).map_err(|error| {
             let before = bytes.get(..error.valid_up_to()).unwrap_or_default();
             syntax(1 + count_lines(before), "the text is not UTF-8".to_owned())
         })?;
         let text = text.strip_prefix('\u{feff}').unwrap_or(text);
         // Counted before elements are built, which take more memory than their text.
-        let mut items = text.bytes().enumerate().filter(|(_, byte)| matches!(byte, b'<' | b'='));
-        if let Some((at, _)) = items.nth(MAX_ITEMS) {
+        let mut items = text.bytes().enumerate().filter(|(_, byte)| is_item(*byte));
+        if let Some((at, _)) = items.nth(most_items) {
             let line = 1 + count_lines(text.as_bytes().get(..at).unwrap_or_default());
-            return Err(syntax(line, format!("there are more than {MAX_ITEMS} tags and attributes")));
+            let problem = "tags and attributes, with the other files of the scenario";
+            return Err(syntax(line, format!("there are more than {MAX_XML_ITEMS} {problem}")));
         }
         let mut reader = Reader::from_str(text);
         let (mut found, mut open): (Option<Self>, Vec<Self>) = (None, Vec::new());
@@ -93,10 +102,21 @@ impl SourceElement {
     }
 
     fn from_tag(tag: &BytesStart<'_>, line: u32, path: &Arc<Path>) -> std::result::Result<Self, String> {
+        let too_long = || format!("a name or an attribute has more than {MAX_ATTRIBUTE_BYTES} bytes");
+        if tag.name().as_ref().len() > MAX_ATTRIBUTE_BYTES {
+            return Err(too_long());
+        }
         let name = String::from_utf8_lossy(tag.local_name().as_ref()).into_owned();
         let mut attributes = Vec::new();
-        for attribute in tag.attributes() {
+        for (index, attribute) in tag.attributes().enumerate() {
             let attribute = attribute.map_err(|error| error.to_string())?;
+            // The parser compares each attribute with all before it.
+            if index >= MAX_ATTRIBUTES {
+                return Err(format!("an element has more than {MAX_ATTRIBUTES} attributes"));
+            }
+            if attribute.key.as_ref().len().max(attribute.value.len()) > MAX_ATTRIBUTE_BYTES {
+                return Err(too_long());
+            }
             let key = String::from_utf8_lossy(attribute.key.as_ref()).into_owned();
             let value = attribute.normalized_value(XmlVersion::Implicit1_0);
             let value = value.map_err(|error| format!("attribute `{key}`: {error}"))?.into_owned();
@@ -115,9 +135,30 @@ impl SourceElement {
     }
 
     pub(super) fn refuse(&self, reason: impl Into<String>) -> ScenarioImportError {
-        let (path, element) = (self.path.to_path_buf(), self.name.clone());
-        ScenarioImportError::Refused { path, line: self.line, element, reason: reason.into() }
+        let [element, reason] = [&self.name, &reason.into()].map(|text| shorten_message(text).into_owned());
+        ScenarioImportError::Refused { path: self.path.to_path_buf(), line: self.line, element, reason }
     }
+
+    /// Returns the number of elements and attributes, this element included, and the bytes of the attributes.
+    pub(super) fn size(&self) -> (usize, usize) {
+        let own_bytes: usize = self.attributes.iter().map(|(name, value)| name.len() + value.len()).sum();
+        let own = (1 + self.attributes.len(), own_bytes);
+        self.children.iter().map(Self::size).fold(own, |(items, bytes), (more, others)| (items + more, bytes + others))
+    }
+
+    pub(super) fn children(&self) -> &[Self] {
+        &self.children
+    }
+}
+
+/// Returns true for a byte of which a text has at least as many as tags and attributes.
+fn is_item(byte: u8) -> bool {
+    matches!(byte, b'<' | b'=')
+}
+
+/// Returns the number of tags and attributes of a text, or more.
+pub(super) fn count_items(bytes: &[u8]) -> usize {
+    bytes.iter().filter(|byte| is_item(**byte)).count()
 }
 
 fn count_lines(bytes: &[u8]) -> u32 {

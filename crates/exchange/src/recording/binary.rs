@@ -51,7 +51,7 @@ pub(super) struct RecordingFile {
 
 impl RecordingFile {
     pub(super) fn open(path: &Path, progress: Option<&ReadProgress>) -> io::Result<Self> {
-        let file = File::open(path)?;
+        let file = crumple_core::regular_file::open(path)?;
         let length = file.metadata()?.len();
         Ok(Self { file, length, read: 0, progress: progress.cloned() })
     }

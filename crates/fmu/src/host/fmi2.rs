@@ -184,7 +184,7 @@ pub(super) fn log_message(status: Fmi2Status, message: *const c_char) {
         // SAFETY: a text of the standard ends in NUL, and is there until the call returns.
         let message = unsafe { CStr::from_ptr(message) }.to_string_lossy();
         // A closed standard error must not affect the FMU.
-        let _ = writeln!(std::io::stderr(), "status {status}: {}", message.trim_end());
+        let _ = std::io::stderr().write_all(format!("status {status}: {}\n", message.trim_end()).as_bytes());
     }
 }
 

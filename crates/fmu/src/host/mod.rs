@@ -83,7 +83,9 @@ pub fn main() -> ExitCode {
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(problem) => {
-            eprintln!("{}: {problem}", fmu.display());
+            // At once: standard error has no buffer, and crumple reads its last lines.
+            let line = format!("{}: {problem}\n", fmu.display());
+            let _ = std::io::Write::write_all(&mut std::io::stderr(), line.as_bytes());
             ExitCode::from(2)
         }
     }

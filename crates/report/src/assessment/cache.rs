@@ -15,6 +15,7 @@ use serde::{Deserialize, Serialize};
 
 use super::plan::slug;
 use crumple_core::digest::sha256;
+use crumple_core::regular_file;
 use crumple_store::disk::{self, DiskError};
 use crumple_store::run_folder::FolderLock;
 
@@ -205,7 +206,7 @@ impl EvidenceCache {
     }
 
     fn read_verified<T: DeserializeOwned>(&self, path: &Path, name: &str, inputs_sha256: &str) -> Option<(String, T)> {
-        let kept: CacheEntry = serde_json::from_str(&fs::read_to_string(path).ok()?).ok()?;
+        let kept: CacheEntry = serde_json::from_slice(&regular_file::read(path, MAX_ENTRY_BYTES).ok()?).ok()?;
         let is_asked_for = kept.name == name && kept.inputs_sha256 == inputs_sha256;
         let value = (is_asked_for && kept.is_intact(&self.program))
             .then(|| serde_json::from_str(&kept.evidence).ok())

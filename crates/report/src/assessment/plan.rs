@@ -1,7 +1,6 @@
 //! A valid configuration with everything that it names.
 
 use std::collections::BTreeSet;
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use crumple_verify::Certificate;
@@ -13,6 +12,7 @@ use super::gate::AssessmentGate;
 use super::parts::{self, EVERYDAY_SPACES};
 use super::planned_suite::PlannedSuite;
 use crumple_core::digest::sha256;
+use crumple_core::regular_file;
 use crumple_exchange::recording::{DroppedItem, ImportOptions, ImportedScenario, import};
 use crumple_world::control::ControllerSpec;
 use crumple_world::observation::EstimatorKind;
@@ -453,8 +453,8 @@ impl PlanLoader<'_> {
             let field = format!("certificates[{index}]");
             let at = self.folder.join(path);
             let wrong = |error: String| self.field_error(&field, format!("{}: {error}", at.display()));
-            let text = fs::read_to_string(&at).map_err(|error| wrong(error.to_string()))?;
-            let certificate = Certificate::from_json(&text).map_err(|error| wrong(error.to_string()))?;
+            let file = regular_file::open(&at).map_err(|error| wrong(error.to_string()))?;
+            let certificate = Certificate::from_reader(file).map_err(|error| wrong(error.to_string()))?;
             let name = at.file_stem().map_or_else(String::new, |stem| stem.to_string_lossy().into_owned());
             self.ensure(!made_here.contains(&name), &field, || {
                 format!("this assessment writes a certificate with the name `{name}`; rename the file")

@@ -5,6 +5,7 @@ use std::io;
 use std::path::{Path, PathBuf};
 
 use crate::disk::DiskError;
+use crumple_core::regular_file;
 
 pub(super) const LOCK_FILE: &str = "work.lock";
 
@@ -61,7 +62,8 @@ fn open_lock_file(folder: &Path) -> Result<(File, PathBuf), DiskError> {
         let problem = "is not a plain file, so crumple cannot lock it: remove it";
         return Err(unusable(io::Error::new(io::ErrorKind::InvalidData, problem)));
     }
-    let file = File::options().create(true).truncate(false).write(true).open(&path).map_err(unusable)?;
+    let file = regular_file::open_with(&path, File::options().create(true).truncate(false).write(true));
+    let file = file.map_err(unusable)?;
     Ok((file, path))
 }
 

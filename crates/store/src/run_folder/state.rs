@@ -9,6 +9,7 @@ use serde::{Deserialize, Serialize};
 use super::RunFolderError;
 use crate::disk::{self, DiskError, none_if_missing};
 use crumple_core::digest::{Sha256, sha256};
+use crumple_core::regular_file;
 
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case", deny_unknown_fields)]
@@ -35,7 +36,7 @@ impl Prefix {
     /// because the file may be larger than memory.
     pub(super) fn check_file(&self, path: &Path) -> Result<Result<(), String>, DiskError> {
         let unreadable = DiskError::at(path);
-        let mut file = match none_if_missing(fs::File::open(path)).map_err(unreadable)? {
+        let mut file = match none_if_missing(regular_file::open(path)).map_err(unreadable)? {
             Some(file) => file.take(self.bytes),
             None if self.bytes == 0 => return Ok(Ok(())),
             None => return Ok(Err(MISSING_FILE_MESSAGE.to_owned())),

@@ -20,12 +20,13 @@ mod pickle;
 mod protobuf;
 mod sb3;
 
-use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 use std::sync::Arc;
 
 use serde::Serialize;
+
+use crumple_core::regular_file;
 
 pub use crate::policy::Elementwise;
 pub use error::NetworkError;
@@ -70,7 +71,9 @@ impl NetworkFile {
         let format = NetworkFormat::from_path(path).ok_or_else(|| in_file(NetworkError::Extension))?;
         let unreadable = |source| NetworkError::Read { path: path.to_owned(), source };
         let mut bytes = Vec::new();
-        File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes)).map_err(unreadable)?;
+        regular_file::open(path)
+            .and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes))
+            .map_err(unreadable)?;
         Self::from_bytes(&bytes, format).map_err(in_file)
     }
 
@@ -156,11 +159,11 @@ impl NetworkFormat {
     }
 }
 
-/// True if a regular file begins as a zip archive. Others, such as pipes, are not read, since that may block.
+/// True if a regular file begins as a zip archive.
 fn has_zip_signature(path: &Path) -> bool {
     let mut first = [0; 4];
-    let is_ordinary = std::fs::metadata(path).is_ok_and(|found| found.is_file());
-    is_ordinary && File::open(path).is_ok_and(|mut file| file.read_exact(&mut first).is_ok()) && first == *b"PK\x03\x04"
+    let is_read = regular_file::open(path).is_ok_and(|mut file| file.read_exact(&mut first).is_ok());
+    is_read && first == *b"PK\x03\x04"
 }
 
 #[cfg(test)]

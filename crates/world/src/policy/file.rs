@@ -1,6 +1,5 @@
 //! The policy file: safetensors with one JSON object in its metadata.
 
-use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
@@ -9,6 +8,7 @@ use safetensors::{SafeTensorError, SafeTensors};
 
 use super::header::{POLICY_VERSION, PolicyHeader};
 use super::{Network, Policy};
+use crumple_core::regular_file;
 
 const METADATA_KEY: &str = "crumple_policy";
 
@@ -76,7 +76,7 @@ impl Policy {
     pub fn load(path: &Path) -> Result<Self, PolicyError> {
         let failed = |source| PolicyError::Read { path: path.to_owned(), source };
         let mut bytes = Vec::new();
-        File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes)).map_err(failed)?;
+        regular_file::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes)).map_err(failed)?;
         Self::from_bytes(&bytes)
             .map_err(|reason| PolicyError::InFile { path: path.to_owned(), reason: Box::new(reason) })
     }

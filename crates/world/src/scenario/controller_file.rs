@@ -143,6 +143,7 @@ pub enum ControllerFileError {
         /// File of the FMU.
         path: String,
         /// Reason.
+        #[source]
         problem: FmuProblem,
     },
     /// A network or an FMU that needs a controller file.

@@ -1,7 +1,7 @@
 //! Scenario files in TOML or JSON, by extension, with errors that name file, line and field.
 
 use std::fmt;
-use std::fs::{self, File};
+use std::fs;
 use std::io::{self, Read as _};
 use std::ops::Range;
 use std::path::{Path, PathBuf};
@@ -10,6 +10,7 @@ use serde::de::DeserializeOwned;
 
 use super::named_fields::NamedFields;
 use super::{FieldProblem, InvalidField, Scenario, ScenarioSpec};
+use crumple_core::regular_file;
 
 /// An error of a scenario file.
 #[derive(Debug, thiserror::Error)]
@@ -125,7 +126,8 @@ pub const LEGACY_EXPECTED_FILE_NAME: &str = "expected.toml";
 /// Maximum number of files that one command reads from a folder.
 pub const MAX_FILES: usize = 10_000;
 
-pub(crate) const MAX_FOLDER_BYTES: u64 = 64 << 20;
+/// Maximum number of bytes of scenario files that one command reads from a folder.
+pub const MAX_FOLDER_BYTES: u64 = 64 << 20;
 
 /// Maximum bytes of a text file: ten times a scripted motion of one minute at the finest step. Parsed JSON needs 16 MB.
 pub const MAX_BYTES: u64 = 8 << 20;
@@ -149,7 +151,9 @@ pub fn read(path: &Path) -> Result<String, FileError> {
 pub fn read_at_most(path: &Path, most: u64) -> Result<String, FileError> {
     let unreadable = |source| FileError::Read { path: path.to_owned(), source };
     let mut bytes = Vec::new();
-    File::open(path).and_then(|file| file.take(most.saturating_add(1)).read_to_end(&mut bytes)).map_err(unreadable)?;
+    regular_file::open(path)
+        .and_then(|file| file.take(most.saturating_add(1)).read_to_end(&mut bytes))
+        .map_err(unreadable)?;
     if bytes.len() as u64 > most {
         let problem = format!("holds more than {} MiB, too much for such a file", most >> 20);
         return Err(unreadable(io::Error::new(io::ErrorKind::InvalidData, problem)));

@@ -5,7 +5,6 @@ mod fmu;
 mod permission;
 
 use std::fmt;
-use std::fs::File;
 use std::io::{self, Read as _};
 use std::path::{Path, PathBuf};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -25,6 +24,7 @@ use crate::process::{ChildProcess, ProcessFailure, ProcessProblem, escaped_excer
 use crate::random::{self, Purpose};
 use crumple_core::digest::{Sha256, sha256};
 use crumple_core::quoting::ShellWord;
+use crumple_core::regular_file;
 
 const MAX_COMMAND_WORDS: usize = 1000;
 const MAX_FILES: usize = 1000;
@@ -430,10 +430,7 @@ impl Drop for ProcessController {
 
 fn file_sha256(path: &Path) -> io::Result<String> {
     let refused = |problem: &str| io::Error::new(io::ErrorKind::InvalidData, problem.to_owned());
-    if !path.metadata()?.is_file() {
-        return Err(refused("is not a regular file"));
-    }
-    let mut file = File::open(path)?.take(MAX_FILE_BYTES + 1);
+    let mut file = regular_file::open(path)?.take(MAX_FILE_BYTES + 1);
     let (mut digest, mut chunk, mut length) = (Sha256::default(), vec![0; 1 << 16], 0);
     loop {
         let read = file.read(&mut chunk)?;

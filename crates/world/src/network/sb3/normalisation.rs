@@ -1,6 +1,6 @@
 //! Use of `VecNormalize` in training, from the model file and from the statistics file.
 
-use std::fs::{self, File};
+use std::fs;
 use std::io::Read;
 use std::path::{Path, PathBuf};
 
@@ -9,6 +9,7 @@ use serde_json::Value;
 
 use super::super::pickle::Pickle;
 use super::space;
+use crumple_core::regular_file;
 
 const MAX_BYTES: u64 = 16 << 20;
 
@@ -78,7 +79,7 @@ impl VecNormalizeStats {
     #[must_use]
     pub fn load(path: &Path) -> Self {
         let mut bytes = Vec::new();
-        let read = File::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
+        let read = regular_file::open(path).and_then(|file| file.take(MAX_BYTES + 1).read_to_end(&mut bytes));
         match read {
             Ok(_) if bytes.len() as u64 <= MAX_BYTES => Self::read(&bytes).unwrap_or(Self::Unreadable),
             _ => Self::Unreadable,

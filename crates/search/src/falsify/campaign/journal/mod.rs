@@ -16,6 +16,7 @@ use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
 
 use crumple_core::digest::Sha256;
+use crumple_core::regular_file;
 use crumple_store::disk::{self, DiskError};
 use crumple_store::run_folder::{Prefix, RunFolder, RunFolderError};
 use crumple_world::measure::RunVerdict;
@@ -73,7 +74,7 @@ impl Journal {
     /// Checks that a run with this identity can resume from a journal. Changes nothing.
     pub(super) fn verify(path: &Path, identity: &str) -> Result<(), RunFolderError> {
         let unusable = DiskError::at(path);
-        let mut records = BufReader::new(File::open(path).map_err(unusable)?);
+        let mut records = BufReader::new(regular_file::open(path).map_err(unusable)?);
         if !has_header(&mut records, identity)
             .map_err(unusable)?
             .ok_or_else(|| RunFolderError::damaged(path, OTHER_CAMPAIGN_MESSAGE))?
@@ -96,12 +97,12 @@ impl Journal {
             Err(error) => return Err(unusable(error).into()),
         };
         let Some(beyond) = length.checked_sub(HEADER_BYTES as u64) else { return Self::create(path, identity) };
-        let mut earlier = BufReader::new(File::open(path).map_err(unusable)?);
+        let mut earlier = BufReader::new(regular_file::open(path).map_err(unusable)?);
         let is_begun = has_header(&mut earlier, identity).map_err(unusable)?;
         if !is_begun.ok_or_else(|| RunFolderError::damaged(path, OTHER_CAMPAIGN_MESSAGE))? {
             return Self::create(path, identity);
         }
-        let file = OpenOptions::new().append(true).open(path).map_err(unusable)?;
+        let file = regular_file::open_with(path, OpenOptions::new().append(true)).map_err(unusable)?;
         file.set_len(length - beyond % RECORD_BYTES as u64).map_err(unusable)?;
         Ok(Self::new(file, path, identity, Some(earlier)))
     }
