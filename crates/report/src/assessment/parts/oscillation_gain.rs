@@ -272,3 +272,36 @@ fn gain_panel(one: &ControllerUsefulness, frame: PixelRect) -> Panel {
     }
     panel
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crumple_world::measure::MeasuredGain;
+
+    fn measured(gains: Vec<Result<f64, NoGain>>) -> OscillationGain {
+        let at = OperatingPoint { mean_speed_mps: 8.0, frequency_rad_per_s: 0.2 };
+        OscillationGain::new(&GainSurvey { points: gains.into_iter().map(|gain| MeasuredGain { at, gain }).collect() })
+    }
+
+    #[test]
+    fn the_rounded_largest_gain_decides() {
+        let holds = measured(vec![Ok(0.5), Ok(1.0004)]);
+        assert!(holds.damps_all() && !holds.strength().is_refutation());
+        assert_eq!(holds.strength(), Strength::Gain { largest: Rounded::new(1.0), points: 2 });
+        let amplifies = measured(vec![Ok(1.0006), Err(NoGain::NotSettled)]);
+        assert!(!amplifies.damps_all() && amplifies.strength().is_refutation());
+        assert_eq!((amplifies.amplified, amplifies.not_settled), (1, 1));
+        assert!(amplifies.describe().starts_with("largest gain 1.001, at 8.0 m/s and 0.20 rad/s; at 1 of 2 "));
+    }
+
+    #[test]
+    fn points_without_a_gain_are_no_evidence_and_collisions_refute() {
+        let unsettled = measured(vec![Ok(0.9), Err(NoGain::NotSteady)]);
+        assert_eq!((unsettled.strength(), unsettled.damps_all()), (Strength::Untried, false));
+        let collides = measured(vec![Ok(0.9), Err(NoGain::Collision)]);
+        assert_eq!(collides.strength(), Strength::Refuted { failures: 1, runs: 2 });
+        let unanswered = measured(vec![Ok(0.9), Err(NoGain::Unanswered("at 1.00 s, it is gone".to_owned()))]);
+        assert!(matches!(unanswered.strength(), Strength::Unanswered { unanswered: 1, failures: 0, runs: 2, .. }));
+        assert_eq!(measured(Vec::new()).strength(), Strength::Untried);
+    }
+}
