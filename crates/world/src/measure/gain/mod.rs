@@ -34,7 +34,7 @@ struct GainGrid {
     refinements: usize,
 }
 
-const STANDARD_GRID: GainGrid = GainGrid { speeds_mps: &GAIN_SPEEDS_MPS, frequencies: 10, refinements: 2 };
+const STANDARD_GRID: GainGrid = GainGrid { speeds_mps: &GAIN_SPEEDS_MPS, frequencies: 10, refinements: 3 };
 
 /// Operating points for controller processes, which need some hundred times as long for a decision.
 const PROCESS_GRID: GainGrid = GainGrid { speeds_mps: &[4.0, 8.0, 15.0, 30.0], frequencies: 6, refinements: 0 };
