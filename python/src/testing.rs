@@ -69,8 +69,8 @@ impl PyProperty {
     }
 
     #[staticmethod]
-    fn string_stability() -> Self {
-        Self(Property::string_stability())
+    fn no_amplification() -> Self {
+        Self(Property::no_amplification())
     }
 
     #[staticmethod]

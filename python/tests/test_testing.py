@@ -72,7 +72,7 @@ def test_a_planted_defect_is_found_and_its_scenario_is_simple(tmp_path):
     [
         (testing.any_scenario(), testing.Property.deterministic(), lambda _seen: float("nan")),
         (testing.any_scenario(), testing.Property.no_avoidable_collision(), lambda _seen: 0.0),
-        (testing.line_of_five(), testing.Property.string_stability(), lambda seen: 0.05 * (seen.gap_ahead_m - 30.0)),
+        (testing.line_of_five(), testing.Property.no_amplification(), lambda seen: 0.05 * (seen.gap_ahead_m - 30.0)),
         (testing.near("paper-1"), testing.Property.bounded_jerk(5.0), "baseline"),
         (testing.near("paper-1"), testing.Property.specification("always v1.speed_mps < 5"), sound),
         (testing.scenarios("traffic"), testing.Property.no_unnecessary_braking(), lambda _seen: -6.0),

@@ -30,6 +30,7 @@ fn property() -> impl Strategy<Value = Property> {
         any_known("controller").prop_map(|than| Property::FailsLessOften { than }),
         Just(Property::NoUnnecessaryBraking),
         Just(Property::KeepsUp),
+        Just(Property::NoGrowingOscillation),
     ]
 }
 
@@ -70,6 +71,7 @@ fn strength() -> impl Strategy<Value = Strength> {
             refutes,
         }),
         Just(Strength::PartlyProved { share_percent: Rounded::new(40.0) }),
+        (0.9..1.1).prop_map(|largest| Strength::Gain { largest: Rounded::new(largest), points: 9 }),
         Just(Strength::Untried),
     ]
 }
@@ -97,7 +99,8 @@ fn strength_level(text: &Value) -> u8 {
         "unanswered" if text["refutes"] == true || text["failures"].as_u64() > Some(0) => 0,
         "compared" if text["own"].as_u64() > text["other"].as_u64() => 0,
         "compared" if text["own"].as_u64() < text["other"].as_u64() => 2,
-        "tested" => 2,
+        "gain" if text["largest"].as_f64() > Some(1.0) => 0,
+        "tested" | "gain" => 2,
         "bounded" | "counted" | "proved_in" => 3,
         "proved" => 4,
         _ => 1,

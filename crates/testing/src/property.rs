@@ -119,10 +119,11 @@ impl Property {
     }
 
     /// No vehicle deviates more from its speed than its leader, from the leader's first change of speed on. Meant for
-    /// [`Scenarios::line_of_five`](super::Scenarios::line_of_five).
+    /// [`Scenarios::line_of_five`](super::Scenarios::line_of_five). This is a property of one manoeuvre: other
+    /// disturbances may grow where this one shrinks ([`GainSurvey`](crumple_world::measure::GainSurvey)).
     #[must_use]
-    pub fn string_stability() -> Self {
-        Self::with_preconditions("string stability", |controller, scenario| {
+    pub fn no_amplification() -> Self {
+        Self::with_preconditions("no amplification", |controller, scenario| {
             let result = controller.simulate(scenario)?;
             if !result.outcome.is_safe() {
                 return Ok(PropertyVerdict::Violated("vehicles of the line collide".to_owned()));

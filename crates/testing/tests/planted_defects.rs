@@ -105,7 +105,7 @@ fn findings_name_their_reason() {
 }
 
 #[test]
-fn metamorphic_relations_and_string_stability_find_defects() {
+fn metamorphic_relations_and_amplification_find_defects() {
     let relation = Property::metamorphic(MetamorphicRelation::LargerGap { by_m: 5.0 });
     let blind: Defect = |seen| if gap_m(seen) > 30.0 { 0.0 } else { sound(seen).max(-4.0) };
     failure_of(blind, "alone", &relation);
@@ -117,7 +117,7 @@ fn metamorphic_relations_and_string_stability_find_defects() {
             seen.ahead.map_or(0.0, |ahead| 0.1 * spacing_error_m + gain * (ahead.speed_mps - seen.speed_mps))
         };
         let test = check(stateless(follower)).on(Scenarios::line_of_five().unwrap()).corpus(folder.path());
-        test.property(Property::string_stability()).estimator(EstimatorKind::Truth).cases(20).run()
+        test.property(Property::no_amplification()).estimator(EstimatorKind::Truth).cases(20).run()
     };
     line(1.5).unwrap();
     assert!(matches!(line(0.0), Err(CheckError::Violated(_))));

@@ -71,7 +71,8 @@ pub enum AssessmentGate {
         /// Largest share that passes, in percent.
         percent: f64,
     },
-    /// A disturbance does not grow in a line of vehicles with a controller.
+    /// No speed oscillation grows from vehicle to vehicle in a line with a controller: the largest gain over all mean
+    /// speeds and frequencies, rounded to three decimals, is at most 1.000. Before 0.4.0: in a single manoeuvre.
     StringStable {
         /// Name of the controller.
         controller: String,

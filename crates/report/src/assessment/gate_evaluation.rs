@@ -68,7 +68,8 @@ impl AssessmentGate {
                 (gate, check_drives_at_most(found, controller, *percent, |useful| useful.left_behind))
             }
             Self::StringStable { controller } => {
-                (format!("{controller}: string stability"), check_string_stable(found, controller))
+                let gate = format!("{controller}: no speed oscillation grows from vehicle to vehicle");
+                (gate, check_string_stable(found, controller))
             }
             Self::SuitePassed { controller, suite } => {
                 let gate = format!("{controller}: passes every test of suite `{suite}` that can be run");
@@ -223,8 +224,8 @@ fn check_drives_at_most(
 }
 
 fn check_string_stable(found: &AssessmentReport, controller: &str) -> (bool, String) {
-    let line = found.usefulness.as_ref().and_then(|all| Some(&all.find(controller)?.string_stability));
-    line.map_or((false, "no platoon was simulated".to_owned()), |line| (line.is_string_stable(), line.describe()))
+    let gain = found.usefulness.as_ref().and_then(|all| Some(&all.find(controller)?.oscillation_gain));
+    gain.map_or((false, "no gain was measured".to_owned()), |gain| (gain.damps_all(), gain.describe()))
 }
 
 /// Ignores tests that cannot be run, but requires at least one test.

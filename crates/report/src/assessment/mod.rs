@@ -46,11 +46,11 @@ pub use parts::{
     ACTIVATION_MPS2, Argument, AssessmentChange, AssessmentComparison, AssessmentLimits, AssessmentProvenance,
     CertificateStatus, CertificateSubject, CheckedCertificate, ClaimRow, ClaimSummary, ControllerHarm,
     ControllerSample, ControllerUsefulness, DistinctFailure, EarlierAssessment, EscapeFile, FailureSearch,
-    FailureSearches, FileScenarios, FirstPage, Glossary, HarmGroup, HarmReport, LimitingAssumption, MAX_EVIDENCE_BYTES,
-    MethodResult, NameExplanation, PairedCounts, PaperScenarios, ParameterDescription, PercentInterval, Proofs,
-    RunInfo, SafetyAnswer, ScenarioCases, SpaceDescription, SpaceDescriptions, SpaceSample, SpaceSamples,
-    SpaceSearches, StringStabilityVerdict, SuiteFailure, SuiteFindings, SuiteOutcome, SuiteTest, Suites,
-    UsefulnessReport,
+    FailureSearches, FileScenarios, FirstPage, GainCurve, Glossary, HarmGroup, HarmReport, LargestGain,
+    LimitingAssumption, MAX_EVIDENCE_BYTES, MethodResult, NameExplanation, OscillationGain, PairedCounts,
+    PaperScenarios, ParameterDescription, PercentInterval, Proofs, RunInfo, SafetyAnswer, ScenarioCases,
+    SpaceDescription, SpaceDescriptions, SpaceSample, SpaceSamples, SpaceSearches, SuiteFailure, SuiteFindings,
+    SuiteOutcome, SuiteTest, Suites, UsefulnessReport,
 };
 pub use plan::AssessmentPlan;
 pub use planned_suite::SuiteConfig;
@@ -62,6 +62,7 @@ use crumple_evidence::{InvalidRate, RateError};
 use crumple_search::falsify::campaign::CampaignError;
 use crumple_store::run_folder::{MANIFEST_FILE, manifest_text};
 use crumple_suites::SuiteRunError;
+use crumple_world::measure::GainError;
 use crumple_world::scenario::InvalidField;
 use crumple_world::sim::{RefusedController, RunError};
 use gather_context::GatherContext;
@@ -115,6 +116,15 @@ pub struct AssessmentReport {
     pub provenance: AssessmentProvenance,
     /// Files that commands of the report need.
     pub command_files: Vec<CommandFile>,
+}
+
+impl From<GainError> for AssessError {
+    fn from(error: GainError) -> Self {
+        match error {
+            GainError::Scenario(invalid) => Self::Draw(invalid),
+            GainError::Run(error) => Self::Run(error),
+        }
+    }
 }
 
 /// One part of an assessment.

@@ -3,7 +3,8 @@
 //! Collisions are rare. For a run without a collision, these measures state how close it came to one; for a run with a
 //! collision, how severe it was. Each pointwise formula is a function with its source. [`Approach`] applies those of a
 //! pair to a trace up to its contact; [`Measures`] holds the results of one vehicle. [`UsefulnessMeasures`] states
-//! whether a vehicle makes progress, and at what cost to others.
+//! whether a vehicle makes progress, and at what cost to others. [`GainSurvey`] simulates a line of vehicles, and
+//! measures the growth of oscillations in it.
 //!
 //! All measures use the true motion, not the observations of a controller.
 
@@ -13,6 +14,7 @@ mod contact_role;
 mod demand;
 mod driving_rule;
 mod exposure;
+mod gain;
 mod harm;
 mod proximity;
 mod severity;
@@ -30,6 +32,10 @@ pub use contact_role::ContactRole;
 pub use demand::{InducedBraking, drac_mps2, required_brake_mps2};
 pub use driving_rule::{DrivingRule, UnknownDrivingRule};
 pub use exposure::{TTC_THRESHOLD_S, TtcExposure};
+pub use gain::{
+    GAIN_FREQUENCIES_RAD_PER_S, GAIN_SPEEDS_MPS, GainError, GainSurvey, MeasuredGain, NoGain,
+    OSCILLATION_AMPLITUDE_MPS, OperatingPoint,
+};
 pub use harm::{harm, harm_of_pair, injury_probability};
 pub use proximity::{time_gap_s, time_headway_s, ttc_s};
 pub use severity::{impact_speed_mps, impacts_of, max_delta_v_mps};

@@ -6,6 +6,7 @@
 pub mod controller_file;
 mod driver;
 pub mod file;
+mod following_line;
 mod invalid;
 mod lane_change;
 mod named_fields;
@@ -26,6 +27,7 @@ use serde::{Deserialize, Serialize};
 use crate::random::NoiseShare;
 
 pub use driver::{Driver, FileDriver};
+pub use following_line::{FollowingLine, SpeedOscillation};
 pub use invalid::format_compact;
 pub use invalid::{AllowedRange, FieldProblem, InvalidField};
 pub use lane_change::LaneChange;

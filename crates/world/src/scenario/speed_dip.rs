@@ -1,4 +1,4 @@
-//! The standard experiment of string stability: a leader slows down briefly and recovers.
+//! A leader that slows down briefly and recovers, ahead of a line of vehicles.
 
 use super::{
     Driver, InvalidField, LeadProfile, PiecewiseAcceleration, Scenario, ScenarioSpec, VehicleClass, VehicleSpec,

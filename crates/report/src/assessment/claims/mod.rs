@@ -18,6 +18,7 @@ use super::Rounded;
 pub use evidence::{Evidence, EvidenceSource};
 pub use inference_rule::InferenceRule;
 pub use ledger::{ClaimStatus, Ledger, SecondaryEvidence};
+pub(super) use strength::MAX_GAIN;
 pub use strength::{MIN_CONFIDENCE_PERCENT, Strength};
 
 /// A name for readers and a hash for comparison.
@@ -94,8 +95,10 @@ pub enum Property {
     PassesTests,
     /// No collision of two vehicles that are both not under test.
     OthersKeepClear,
-    /// String stability: a disturbance does not grow from vehicle to vehicle in a line of these controllers.
-    StringStable,
+    /// No speed oscillation grows from vehicle to vehicle in a line of these controllers: the largest gain, rounded to
+    /// three decimals, is at most 1.000.
+    #[serde(alias = "string_stable")]
+    NoGrowingOscillation,
 }
 
 /// The domain of a claim.
@@ -145,6 +148,15 @@ pub enum Domain {
         /// Content of the box.
         around: ContentId,
     },
+    /// Oscillations of the leader's speed around mean speeds, ahead of a line of vehicles.
+    Oscillations {
+        /// Amplitude, in m/s.
+        amplitude_mps: Rounded<2>,
+        /// Lowest and highest frequency, in rad/s.
+        frequencies_rad_per_s: [Rounded<2>; 2],
+        /// Lowest and highest mean speed, in m/s.
+        mean_speeds_mps: [Rounded<1>; 2],
+    },
     /// Any initial state inside the safety kernels of these brake limits, under the assumptions of the shield.
     Kernels {
         /// Brake limits of the ego vehicle and of its leader, on a dry road, each pair in m/s².
@@ -190,7 +202,7 @@ impl Property {
             Self::KeepsUp => "never falls behind".to_owned(),
             Self::PassesTests => "passes every test that can be run".to_owned(),
             Self::OthersKeepClear => "no collision of other vehicles".to_owned(),
-            Self::StringStable => "string stability".to_owned(),
+            Self::NoGrowingOscillation => "largest gain at most 1.000".to_owned(),
         }
     }
 
@@ -206,7 +218,7 @@ impl Property {
             Self::KeepsUp => "falls behind".to_owned(),
             Self::PassesTests => "failed tests".to_owned(),
             Self::OthersKeepClear => "collision of other vehicles".to_owned(),
-            Self::StringStable => "string instability".to_owned(),
+            Self::NoGrowingOscillation => "growing oscillation".to_owned(),
         }
     }
 
@@ -238,6 +250,14 @@ impl Domain {
             }
             Self::Suite { suite } => format!("of suite `{}`, on point masses in one lane", suite.name),
             Self::Box { around } => format!("from {}", around.name),
+            Self::Oscillations { amplitude_mps, frequencies_rad_per_s: [low, high], mean_speeds_mps } => {
+                let [amplitude_mps, low, high] = [amplitude_mps, low, high].map(|one| one.value());
+                let [slowest_mps, fastest_mps] = mean_speeds_mps.map(|one| one.value());
+                format!(
+                    "from vehicle to vehicle, for oscillations of {amplitude_mps} m/s at {low} to {high} rad/s around \
+                     {slowest_mps} to {fastest_mps} m/s, with the true state"
+                )
+            }
             Self::Kernels { limits_mps2 } => {
                 let hardest = limits_mps2.iter().map(|[_, ahead]| ahead.value()).reduce(f64::max);
                 let ahead =

@@ -9,6 +9,9 @@ use crumple_world::sim::FailedControllerRuns;
 /// Minimum confidence level, in percent, at which a count decides a claim.
 pub const MIN_CONFIDENCE_PERCENT: f64 = 95.0;
 
+/// Largest gain of a line that damps oscillations, after rounding to three decimals.
+pub(in crate::assessment) const MAX_GAIN: f64 = 1.0;
+
 /// The strength of evidence for a claim.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
@@ -82,6 +85,13 @@ pub enum Strength {
         other: u64,
         /// Number of runs.
         runs: u64,
+    },
+    /// The largest measured gain; the claim allows at most 1.000.
+    Gain {
+        /// Largest gain.
+        largest: Rounded<3>,
+        /// Number of operating points.
+        points: u64,
     },
     /// The subject failed in some runs.
     Refuted {
@@ -207,9 +217,16 @@ impl Strength {
         match self {
             Self::Refuted { .. } | Self::Falsified { .. } | Self::Exceeded { .. } => true,
             Self::Compared { own, other, .. } => own > other,
+            Self::Gain { largest, .. } => largest.value() > MAX_GAIN,
             Self::Unanswered { failures, refutes, .. } => *refutes || *failures > 0,
             _ => false,
         }
+    }
+
+    /// True for a measured gain that supports the claim.
+    #[must_use]
+    pub(crate) fn is_gain_in_limit(&self) -> bool {
+        matches!(self, Self::Gain { .. }) && !self.is_refutation()
     }
 
     /// True if the claim is shown to hold, not only tested.
@@ -238,6 +255,8 @@ impl Strength {
             Self::Compared { own, other, .. } if own < other => 3.0,
             Self::Compared { .. } => 1.5,
             Self::Tested { runs } => 3.0 + within(*runs as f64),
+            Self::Gain { largest, .. } if self.is_refutation() => 8.0 + within(largest.value()),
+            Self::Gain { points, .. } => 3.0 + within(*points as f64),
             Self::Undecided { lower_percent, upper_percent, .. } => {
                 2.0 - within(upper_percent.value() - lower_percent.value())
             }
@@ -276,6 +295,7 @@ impl Strength {
             Self::Proved { .. } => "proved".to_owned(),
             Self::Tested { runs: 1 } => "holds in one run".to_owned(),
             Self::Tested { runs } => format!("0 of {runs} fail"),
+            Self::Gain { largest, points } => format!("largest gain {largest} of {points} operating points"),
             Self::Between { lower_percent, upper_percent, confidence_percent, .. } => {
                 format!("{lower_percent} to {upper_percent} %, each bound at confidence {confidence_percent} %")
             }
@@ -313,6 +333,7 @@ impl Strength {
             Self::OtherUnanswered { .. } => "not shown".to_owned(),
             Self::PartlyProved { share_percent } => format!("proved for {share_percent} %"),
             Self::Tested { runs } => format!("0 of {runs}"),
+            Self::Gain { largest, .. } => largest.to_string(),
             Self::Refuted { failures, runs } => format!("{failures} of {runs}"),
             Self::Bounded { upper_percent, confidence_percent } => {
                 format!("≤ {upper_percent} % ({confidence_percent} %)")
@@ -341,6 +362,7 @@ impl Strength {
             Self::Contradicted => 0,
             Self::Compared { own, other, .. } if own < other => 2,
             _ if self.is_refutation() => 0,
+            Self::Gain { .. } => 2,
             _ => 1,
         }
     }

@@ -75,6 +75,7 @@ impl FirstPage {
         let against: Vec<String> = claims.iter().filter(speaks_against).map(describe_refutation).collect();
         let speaks_for = |one: &&SubjectClaim<'_>| {
             one.status.strength.is_assurance()
+                || one.status.strength.is_gain_in_limit()
                 || matches!(one.status.strength, Strength::Tested { .. } | Strength::PartlyProved { .. })
         };
         let describe = |one: &SubjectClaim<'_>| format!("{}: {}", one.row.claim, one.status.strength.describe());

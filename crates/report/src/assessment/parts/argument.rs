@@ -131,9 +131,11 @@ const GOALS: [(&str, &str, PropertyFilter); 6] = [
         matches!(property, Property::OthersKeepClear)
     }),
     (
-        "is useful in ordinary traffic: no unnecessary braking, keeps up, string stability",
+        "is useful in ordinary traffic: no unnecessary braking, keeps up, no oscillation that grows",
         "over ordinary traffic",
-        |property| matches!(property, Property::NoUnnecessaryBraking | Property::KeepsUp | Property::StringStable),
+        |property| {
+            matches!(property, Property::NoUnnecessaryBraking | Property::KeepsUp | Property::NoGrowingOscillation)
+        },
     ),
 ];
 

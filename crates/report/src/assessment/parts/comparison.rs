@@ -154,6 +154,7 @@ fn score(strength: &Strength) -> f64 {
         Strength::Counted { confidence_percent, .. } => confidence_percent.value(),
         Strength::NotShownByCounting { .. } => 0.0,
         Strength::Compared { own, other, runs } => (*other as f64 - *own as f64) / (*runs).max(1) as f64,
+        Strength::Gain { largest, .. } => -largest.value(),
         Strength::Contradicted => 0.0,
     };
     1000.0 * f64::from(strength.rank()) + within

@@ -4,7 +4,7 @@ use serde::{Deserialize, Serialize};
 
 use super::sampling::{RunSummary, simulate_each};
 use super::share::PercentInterval;
-use super::{ControllerUsefulness, StringStabilityVerdict};
+use super::{ControllerUsefulness, OscillationGain};
 use crate::assessment::case::CaseVerdict;
 use crate::assessment::run_ends::RunEnds;
 use crate::assessment::{AssessError, Rounded};
@@ -106,7 +106,7 @@ impl ControllerUsefulness {
         controller: &NamedController,
         drives: &[EverydayDrive],
         danger: &[RunSummary],
-        line: StringStabilityVerdict,
+        oscillation_gain: OscillationGain,
     ) -> Self {
         // A drive without an answer is no evidence about driving or keeping up.
         let answered = |drive: &&EverydayDrive| !matches!(drive.verdict, CaseVerdict::ControllerFailed { .. });
@@ -143,7 +143,7 @@ impl ControllerUsefulness {
             rms_acceleration_mps2: mean(&|one| one.rms_acceleration_mps2),
             rms_jerk_mps3: mean(&|one| one.rms_jerk_mps3),
             induced_brake_mps2: mean(&|one| one.induced.and_then(|imposed| imposed.peak_brake_mps2)),
-            string_stability: line,
+            oscillation_gain,
         }
     }
 }

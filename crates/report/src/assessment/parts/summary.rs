@@ -3,8 +3,8 @@
 use maud::html;
 use serde::Serialize;
 
-use super::Suites;
 use super::certificates::{describe_estimator, kernel_domain, shield_kernels};
+use super::{OscillationGain, Suites};
 use crate::assessment::claims::{AssuranceClaim, ClaimStatus, ContentId, Domain, InferenceRule, Property};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::table::{ReportCell, ReportTable};
@@ -104,7 +104,10 @@ impl ClaimSummary {
         let is_measured = |claim: &AssuranceClaim| match (&claim.property, &claim.domain) {
             (Property::FailsLessOften { .. }, _) => false,
             (Property::RateAtMost { .. }, _) => true,
-            (_, domain) => matches!(domain, Domain::Scenarios { .. } | Domain::Draws { .. } | Domain::Search { .. }),
+            (_, domain) => matches!(
+                domain,
+                Domain::Scenarios { .. } | Domain::Draws { .. } | Domain::Search { .. } | Domain::Oscillations { .. }
+            ),
         };
         let columns = if subject_index == 0 { vec![0] } else { vec![0, subject_index] };
         self.table_of(&columns, is_measured)
@@ -238,7 +241,11 @@ fn claim_rows(plan: &AssessmentPlan, found: &AssessmentReport) -> Vec<ClaimRow> 
         let [traffic, danger] = usefulness.domains();
         add("usefulness", None, of_all(Property::NoUnnecessaryBraking, traffic.clone(), own));
         add("usefulness", None, of_all(Property::KeepsUp, traffic.clone(), own));
-        add("usefulness", None, of_all(Property::StringStable, usefulness.platoon_domain(), own));
+        add(
+            "usefulness",
+            None,
+            of_all(Property::NoGrowingOscillation, OscillationGain::domain(), EstimatorKind::Truth),
+        );
         add("usefulness", None, of_all(Property::NoContact, traffic, own));
         add("usefulness", None, of_all(Property::NoContact, danger, own));
     }
@@ -288,5 +295,5 @@ impl ReportPart for ClaimSummary {
 
 const LEGEND: &str = "✓ supported, ✗ refuted, – not claimed. A cell gives the failures of the runs (`0 of 1000`), the \
     failures of both controllers in the same runs (`0 against 1000`), bounds of a rate with their confidence level \
-    (`≤ 0.24 % (99.9 %)`), or the distinct failures of a search. A proof holds under the assumptions in the section \
-    \"Proofs\".";
+    (`≤ 0.24 % (99.9 %)`), the distinct failures of a search, or the largest gain. A proof holds under the assumptions \
+    in the section \"Proofs\".";

@@ -3,12 +3,12 @@
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use super::StringStabilityVerdict;
 use super::everyday_drives::{BrakingRate, EverydayDrive, braking_rates};
+use super::oscillation_gain::{OscillationGain, draw_gains, gain_introduction, gain_table};
 use super::sampling::{draw_scenarios, run_samples, simulate_each};
 use super::share::{CONFIDENCE, PercentInterval, ShareFigure};
 use crate::assessment::claims::{
-    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, UncomparedText,
+    AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, Subject,
 };
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
@@ -17,9 +17,9 @@ use crate::assessment::run_ends::RunEnds;
 use crate::assessment::table::{ReportCell, ReportColumn, ReportTable};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, ReportPart, Rounded};
 use crate::draw::{Ink, Marker, Svg};
-use crumple_world::measure::{HARD_BRAKE_MPS2, UNNECESSARY_MARGIN_MPS2};
+use crumple_world::measure::{GainSurvey, HARD_BRAKE_MPS2, UNNECESSARY_MARGIN_MPS2};
+use crumple_world::observation::EstimatorKind;
 use crumple_world::scenario::space::{ScenarioSpace, built_in_space, file as space_file};
-use crumple_world::scenario::speed_dip;
 use crumple_world::sim::{FailedControllerRuns, NamedController, RecordingLevel, RunOptions};
 
 const ANCHOR: &str = "usefulness";
@@ -27,20 +27,12 @@ const ANCHOR: &str = "usefulness";
 /// The built-in spaces of everyday traffic and of dangerous scenarios.
 pub(in crate::assessment) const EVERYDAY_SPACES: [&str; 2] = ["traffic", "high-risk"];
 
-const FOLLOWERS: usize = 5;
-
-/// Initial time gap of the line, in seconds.
-const TIME_GAP_S: f64 = 1.5;
-
 /// Every controller in everyday traffic, in danger, and in a line.
 #[derive(Debug, Clone, Serialize, Deserialize)]
 #[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
 pub struct UsefulnessReport {
     /// Scenario spaces: everyday traffic, and dangerous scenarios.
     pub spaces: [ContentId; 2],
-    /// Scenario of the line for string stability.
-    #[serde(rename = "line")]
-    pub platoon: ContentId,
     /// Number of random scenarios of each space for each controller.
     #[serde(rename = "draws")]
     pub random_scenarios: u64,
@@ -105,9 +97,9 @@ pub struct ControllerUsefulness {
     /// Mean of the hardest deceleration of the follower, in m/s².
     #[serde(rename = "imposed_brake_mps2")]
     pub induced_brake_mps2: Option<Rounded<2>>,
-    /// String stability of a line of these controllers.
-    #[serde(rename = "line")]
-    pub string_stability: StringStabilityVerdict,
+    /// Growth of speed oscillations in a line of these controllers.
+    #[serde(rename = "gain")]
+    pub oscillation_gain: OscillationGain,
     /// Share of failures in dangerous scenarios in percent, with exact bounds.
     pub high_risk_percent: PercentInterval,
 }
@@ -138,20 +130,18 @@ impl UsefulnessReport {
         let spaces = [content_id(&traffic)?, content_id(&high_risk)?];
         let traffic = draw_scenarios(&traffic, seed, 0..count)?;
         let high_risk = draw_scenarios(&high_risk, seed, 0..count)?;
-        let line = speed_dip(FOLLOWERS, TIME_GAP_S)?;
-        let platoon = ContentId::from_scenario("a platoon of five vehicles whose leader slows down", &line);
         let useful = |controller: &NamedController| -> Result<ControllerUsefulness, AssessError> {
             let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
             let drives = simulate_each(&traffic, &options, RecordingLevel::Trace, EverydayDrive::new)?;
             let danger = run_samples(&high_risk, controller, plan)?;
-            let line = StringStabilityVerdict::simulate(&line, &options)?;
-            let mut useful = ControllerUsefulness::new(controller, &drives, &danger, line);
+            let gain = OscillationGain::new(&GainSurvey::new(&controller.kind)?);
+            let mut useful = ControllerUsefulness::new(controller, &drives, &danger, gain);
             useful.unnecessary_braking_rates = braking_rates(&traffic, &drives, &options)?;
-            work.add_runs(2 * count + 1)?;
+            work.add_runs(2 * count)?;
             Ok(useful)
         };
         let controllers = plan.controllers.iter().map(useful).collect::<Result<_, _>>()?;
-        Ok(Some(Self { spaces, platoon, random_scenarios: count, seed, confidence: CONFIDENCE, controllers }))
+        Ok(Some(Self { spaces, random_scenarios: count, seed, confidence: CONFIDENCE, controllers }))
     }
 
     pub(in crate::assessment) fn domains(&self) -> [Domain; 2] {
@@ -169,21 +159,23 @@ impl UsefulnessReport {
         Some((self.random_scenarios, self.find(controller)?.ends(place)))
     }
 
-    pub(in crate::assessment) fn platoon_domain(&self) -> Domain {
-        Domain::Scenarios { about: UncomparedText(self.platoon.name.clone()), all: vec![self.platoon.clone()] }
-    }
-
     pub(in crate::assessment) fn evidence(&self, plan: &AssessmentPlan) -> Vec<Evidence> {
         let [traffic, danger] = self.domains();
         let made = format!("{} drives, seed {}", self.random_scenarios, self.seed);
         let mut all = Vec::new();
         for (subject, useful) in plan.claim_subjects().into_iter().zip(&self.controllers) {
+            let gain = &useful.oscillation_gain;
+            let claim = AssuranceClaim {
+                subject: Subject { estimator: EstimatorKind::Truth, ..subject.clone() },
+                property: Property::NoGrowingOscillation,
+                domain: OscillationGain::domain(),
+            };
+            let source = EvidenceSource::from_part(ANCHOR, &format!("{} operating points", gain.points));
+            all.push(Evidence { claim, strength: gain.strength(), source });
             let mut add = |property, domain: &Domain, strength, made: &str| {
                 let claim = AssuranceClaim { subject: subject.clone(), property, domain: domain.clone() };
                 all.push(Evidence { claim, strength, source: EvidenceSource::from_part(ANCHOR, made) });
             };
-            let stability = useful.string_stability.strength();
-            add(Property::StringStable, &self.platoon_domain(), stability, "one run of a platoon");
             let (runs, [in_traffic, in_danger]) = (self.random_scenarios, [0, 1].map(|place| useful.ends(place)));
             add(Property::NoContact, &traffic, in_traffic.strength(runs), &made);
             let driving =
@@ -204,9 +196,8 @@ impl UsefulnessReport {
              drives the same {} random scenarios of `traffic` (seed {}), ordinary driving without hard braking, and as \
              many of `high-risk`. Columns without a space are about `traffic`. Braking is unnecessary if it is more \
              than {UNNECESSARY_MARGIN_MPS2} m/s² harder, for 0.2 s, than the Intelligent Driver Model would brake at \
-             the true state, than the collision avoidance required, and than the leader braked. Gain: {FOLLOWERS} \
-             vehicles with the controller follow a leader that slows down by 4 m/s and recovers; the change of speed \
-             of the last one, relative to the leader's. Bounds are exact (Clopper–Pearson, {} %).",
+             the true state, than the collision avoidance required, and than the leader braked. Bounds are exact \
+             (Clopper–Pearson, {} %).",
             self.random_scenarios,
             self.seed,
             100.0 * self.confidence
@@ -214,7 +205,7 @@ impl UsefulnessReport {
     }
 
     fn table(&self) -> ReportTable {
-        let columns: [ReportColumn<'_, &ControllerUsefulness>; 14] = [
+        let columns: [ReportColumn<'_, &ControllerUsefulness>; 13] = [
             ("controller", &|one| ReportCell::text(&one.controller)),
             ("failures", &|one| ReportCell::with_verdict(one.failures, one.failures == 0)),
             ("unnecessary braking (%)", &|one| match (one.unnecessary_braking, one.unanswered_runs()) {
@@ -233,7 +224,6 @@ impl UsefulnessReport {
             ("rms acceleration (m/s²)", &|one| ReportCell::optional(one.rms_acceleration_mps2)),
             ("rms jerk (m/s³)", &|one| ReportCell::optional(one.rms_jerk_mps3)),
             ("induced braking (m/s²)", &|one| ReportCell::optional(one.induced_brake_mps2)),
-            ("gain", &|one| one.string_stability.table_cell()),
             ("failures in high-risk (%)", &|one| ReportCell::number(one.high_risk_percent.observed)),
         ];
         ReportTable::from_items(&self.controllers, &columns)
@@ -302,12 +292,10 @@ impl UsefulnessReport {
                 let words = unanswered.as_ref()?.describe(self.random_scenarios);
                 Some(format!("{} in `{place}`: {words}", useful.controller))
             });
-            let line = match &useful.string_stability {
-                StringStabilityVerdict::Unanswered { reason } => {
-                    Some(format!("{} in the platoon gave no answer: {reason}", useful.controller))
-                }
-                _ => None,
-            };
+            let gain = &useful.oscillation_gain;
+            let line = gain.unanswered.as_ref().map(|failed| {
+                format!("{} behind an oscillating leader: {}", useful.controller, failed.describe(gain.points))
+            });
             words.chain(line).collect::<Vec<_>>()
         };
         self.controllers.iter().flat_map(of).collect()
@@ -368,6 +356,9 @@ impl ReportPart for UsefulnessReport {
         out.table(&self.failure_table());
         self.unanswered_notes().iter().for_each(|line| out.paragraph(line));
         out.figure(self.figure(ANCHOR));
+        out.paragraph(&gain_introduction());
+        out.table(&gain_table(&self.controllers));
+        out.figure(draw_gains("gains", &self.controllers));
     }
 }
 

@@ -1,4 +1,4 @@
-//! String stability: growth of a disturbance from vehicle to vehicle.
+//! Amplification: growth of one disturbance from vehicle to vehicle.
 
 use serde::{Deserialize, Serialize};
 
@@ -13,14 +13,9 @@ pub const MIN_DEVIATION_MPS: f64 = 0.1;
 /// Amplification of the leader's change of speed along the line: ratios of the largest deviations from the initial
 /// speeds.
 ///
-/// A line of vehicles is string stable if disturbances do not grow along it. Of the many definitions this is the ratio
-/// of peaks: `max_t |v_i - v_i(t_0)| / max_t |v_(i-1) - v_(i-1)(t_0)|`. Above 1 a disturbance grows. A single
-/// disturbance can refute string stability, but not prove it.
-///
-/// Source: Swaroop and Hedrick 1996, "String stability of interconnected systems", IEEE Transactions on Automatic
-/// Control 41, 349-357 (peaks); Ploeg, van de Wouw and Nijmeijer 2014, "Lp string stability of cascaded systems:
-/// application to vehicle platooning", IEEE Transactions on Control Systems Technology 22, 786-793 (definitions
-/// compared).
+/// The ratio of peaks is `max_t |v_i - v_i(t_0)| / max_t |v_(i-1) - v_(i-1)(t_0)|`. Above 1 a disturbance grows. This
+/// describes one disturbance: others may grow where this one shrinks. [`GainSurvey`](crate::measure::GainSurvey)
+/// measures oscillations of many frequencies.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct SpeedAmplification {
