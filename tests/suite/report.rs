@@ -224,6 +224,52 @@ fn a_comparison_finds_changes() {
     assert!(changed.worse[0].description.starts_with("baseline: no collision"), "{:?}", changed.worse);
 }
 
+/// In the whole comparison, no search that found more failures is better in any row, and a claim whose evidence was
+/// counted runs is not compared with results of a search.
+#[test]
+fn a_search_with_more_failures_is_worse_in_every_row() {
+    use crumple_report::assessment::{AssessmentComparison, EarlierAssessment};
+    let mut evidence: Value = serde_json::from_str(&BUILT_IN_ASSESSMENT.to_json().expect("serializes")).expect("JSON");
+    // The earlier search of `road` in `high-risk` found one failure less, and all of them were avoidable.
+    let spaces = evidence["searches"]["spaces"].as_array_mut().expect("spaces");
+    let space = spaces.iter_mut().find(|space| space["name"] == "high-risk").expect("searched");
+    let searches = space["controllers"].as_array_mut().expect("controllers");
+    let search = searches.iter_mut().find(|search| search["controller"] == "road").expect("searched");
+    let failures = search["failures"].as_array_mut().expect("failures");
+    failures.pop().expect("it fails");
+    failures.iter_mut().for_each(|failure| failure["class"] = "avoidable".into());
+    let count = failures.len();
+    let place = evidence["summary"]["controllers"].as_array().expect("names").iter().position(|name| name == "road");
+    let place = place.expect("assessed");
+    let mut anywhere = None;
+    for row in evidence["summary"]["claims"].as_array_mut().expect("claims") {
+        let words = row["claim"].as_str().expect("words").to_owned();
+        let status = &mut row["standings"][place];
+        if words.starts_with("no collision in a search of `high-risk`") {
+            (status["failures"], status["avoidable"]) = (count.into(), count.into());
+        } else if words == "no collision anywhere in `high-risk`" {
+            // Failures of a search refuted it, and now random scenarios do, or the reverse.
+            *status = match status["strength"] == "found" {
+                true => serde_json::json!({ "strength": "refuted", "failures": 150, "runs": 200 }),
+                false => serde_json::json!({ "strength": "found", "failures": 150, "avoidable": 150 }),
+            };
+            anywhere = Some(words);
+        }
+    }
+    assert!(anywhere.is_some(), "claimed");
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("old.json");
+    fs::write(&path, evidence.to_string()).expect("writes");
+    let earlier = EarlierAssessment::load(&path).expect("evidence");
+    let found = AssessmentComparison::new(&earlier, &BUILT_IN_ASSESSMENT).expect("comparable");
+    assert!(found.better.is_empty(), "{:?}", found.better);
+    let [worse] = &found.worse[..] else { panic!("{:?}", found.worse) };
+    assert!(worse.description.starts_with("road: no collision in a search of `high-risk`"), "{worse:?}");
+    assert!(worse.before.as_deref().is_some_and(|before| before.starts_with(&format!("{count} distinct"))));
+    let [changed] = &found.changed[..] else { panic!("{:?}", found.changed) };
+    assert_eq!(changed.description, "road: no collision anywhere in `high-risk`");
+}
+
 /// The verdict table follows from the evidence alone.
 #[test]
 fn the_verdict_is_that_of_the_evidence() {
