@@ -107,6 +107,31 @@ fn the_committed_report_is_current() {
     }
 }
 
+/// The committed report states the commit that made it, without changes, in each of its formats. Where the history is
+/// there, that commit belongs to it.
+#[test]
+fn the_committed_report_was_made_from_a_clean_commit() {
+    let evidence: Value = serde_json::from_str(&read_committed("assessment.json")).expect("JSON");
+    let commit = evidence["provenance"]["made"]["commit"].as_str().expect("the report states a commit");
+    let is_hash = commit.len() == 40 && commit.chars().all(|letter| letter.is_ascii_hexdigit());
+    assert!(is_hash, "reports/assessment.json was made from `{commit}`: commit first, and renew the reports then");
+    for name in ["assessment.md", "assessment.html"] {
+        let text = read_committed(name);
+        assert!(text.contains(&format!(", commit {commit}, program ")), "reports/{name} states another commit");
+    }
+    let git = |arguments: &[&str]| {
+        let mut git = std::process::Command::new("git");
+        git.arg("-C").arg(env!("CARGO_MANIFEST_DIR")).args(arguments).output().ok().filter(|out| out.status.success())
+    };
+    // Without a prefix, the repository is that of this folder.
+    let is_own = git(&["rev-parse", "--show-prefix"]).is_some_and(|out| out.stdout == b"\n");
+    let is_shallow = git(&["rev-parse", "--is-shallow-repository"]).is_none_or(|out| out.stdout != b"false\n");
+    if is_own && !is_shallow {
+        let is_ancestor = git(&["merge-base", "--is-ancestor", commit, "HEAD"]).is_some();
+        assert!(is_ancestor, "commit {commit} of reports/assessment.json is not in the history");
+    }
+}
+
 /// JUnit has one test per gate, which fails if the gate does not hold; refuted claims fail no build.
 #[test]
 fn junit_holds_each_gate_as_a_test() {
