@@ -143,8 +143,8 @@ impl AssessmentComparison {
     #[must_use]
     pub fn describe(&self) -> String {
         format!(
-            "Compared with the earlier assessment{}: {} better, {} worse, {} new, {} gone, {} changed without being better \
-             or worse, {} unchanged.",
+            "Compared with the earlier assessment{}: {} better, {} worse, {} new, {} gone, {} changed without being \
+             better or worse, {} unchanged.",
             if self.same_configuration { "" } else { ", which has another configuration" },
             self.better.len(),
             self.worse.len(),
