@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use super::order::compare_strengths;
 use crate::assessment::CertificateStatus;
-use crate::assessment::claims::{AssuranceClaim, Domain, Strength};
+use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Strength};
 use crumple_core::digest::sha256;
 use crumple_search::falsify::counterexample::AvoidabilityClass;
 
@@ -118,14 +118,20 @@ fn deciding_domain(evidence: &Value, status: &Value) -> Option<String> {
     Some(hash(&Domain::deserialize(domain).ok()?))
 }
 
+fn listed_scenarios(domain: &Domain) -> &[ContentId] {
+    match domain {
+        Domain::Scenarios { all, .. } => all,
+        _ => &[],
+    }
+}
+
 /// Adds the smallest gap of each case.
 fn add_gaps(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Result<(), String> {
-    let scenarios = |domain| match domain {
-        &Domain::Scenarios { ref all, .. } => all.as_slice(),
-        _ => &[],
-    };
-    let known: BTreeMap<&str, &str> =
-        domains.iter().flat_map(scenarios).map(|scenario| (scenario.name.as_str(), scenario.sha256.as_str())).collect();
+    let known: BTreeMap<&str, &str> = domains
+        .iter()
+        .flat_map(listed_scenarios)
+        .map(|scenario| (scenario.name.as_str(), scenario.sha256.as_str()))
+        .collect();
     for part in ["paper_scenarios/scenarios", "traffic/scenarios"] {
         for scenario in read::<Option<Vec<Value>>>(evidence, part)?.unwrap_or_default() {
             let name: String = read(&scenario, "scenario")?;
