@@ -6,6 +6,7 @@ use clap::{Args, ValueEnum};
 use crumple_core::observer::Listener;
 use crumple_verify::invariant::MotionModel;
 use crumple_verify::{ProvedClaim, WorkLimit, check_with};
+use indicatif::ProgressBar;
 use serde::Serialize;
 
 use super::import::render_figure;
@@ -14,10 +15,11 @@ use super::reach::write_certificate;
 use super::simulate::{OutputFormat, parse_path_ending_in};
 use super::{CliError, args, progress};
 use crumple_evidence::{
-    Defeat, InvalidBox, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet, InvariantSpec,
+    Defeat, InvalidBox, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet, InvariantSpec, InvariantStage,
 };
 use crumple_report::figures::draw_invariant_set;
 use crumple_store::disk::StagedFiles;
+use crumple_world::scenario::Scenario;
 use crumple_world::sim::NamedController;
 
 /// Own speeds of a picture.
@@ -30,6 +32,9 @@ The set is {gap >= h(own speed, leader's speed)}. crumple searches for the lowes
 decision and for every leader within the limits, leads from the set into the set. The checker verifies each cell of \
 h with outward rounding. The claim covers the controller alone, its decision interval, and observations within the \
 stated errors. It has no time limit, and ends if a speed leaves the stated range.
+
+With the other defaults, the search for idm takes about 25 s of processor time with 140 cells, and 9 s with 70. If \
+the region has no set, the command searches up to four smaller regions, which takes several times as long.
 
 Controllers: idm, acc-aeb, policies and networks (F.onnx, F.zip, F.toml) without a history. With --plant relative, \
 the state is the gap and the closing speed alone, and the network must have no other inputs.
@@ -134,63 +139,28 @@ impl InvariantCommand {
             .flatten()
             .try_for_each(|path| output::resolve_output_path(path).map(drop))?;
         let scenario = args::load_scenario(&self.scenario)?;
-        let spec = InvariantSpec {
-            version: 1,
-            scenario: scenario.spec().name.clone(),
-            motion: match self.plant {
-                InvariantPlant::Absolute => MotionModel::Absolute,
-                InvariantPlant::Relative => MotionModel::Relative,
-            },
-            leader_mps2: self.leader_accel,
-            observation_error: [self.gap_error, self.speed_error, self.speed_error],
-            region_gap_m: self.gap,
-            ends_beyond_gap_m: self.end_beyond_gap,
-            region_own_mps: self.speed,
-            region_leader_mps: match self.plant {
-                InvariantPlant::Absolute => self.leader_speed,
-                InvariantPlant::Relative => [0.0; 2],
-            },
-            controller: None,
-        };
-        let failed = |error: InvalidBox| match error {
-            InvalidBox::Controller(problem) => CliError::Input(format!("--controller: {problem}")),
-            InvalidBox::Mapping(invalid) => {
-                let place = self.controller.field_location(&invalid.field);
-                CliError::Input(format!("--controller: {place}cannot be followed: {invalid}"))
-            }
-            InvalidBox::Field { field, problem } => CliError::Input(format!("{}: {problem}", option_of(&field))),
-            other => CliError::input(other),
-        };
-        let plan = InvariantPlan::new(self.controller.kind.clone(), &scenario, spec).map_err(failed)?;
+        let failed = |error: InvalidBox| self.describe_refusal(error);
+        let plan = InvariantPlan::new(self.controller.kind.clone(), &scenario, self.spec(&scenario)).map_err(failed)?;
         let options = InvariantOptions { cells: self.cells, splits: self.splits, smallest_gap_m: self.smallest_gap };
-        let bar = progress::depth_line("raising", 1, quiet);
-        let observer = Listener(|now: &InvariantProgress| {
-            let InvariantProgress { own_mps, pass, failed } = now;
-            bar.set_message(format!("up to {own_mps:.2} m/s: pass {pass}, {failed} cells changed"));
-        });
-        let found = plan.search(options, &observer).map_err(failed)?;
-        bar.finish_and_clear();
-        let Some(set) = found else {
+        let bar = progress::share_bar("", quiet);
+        let observer = Listener(|now: &InvariantProgress| show_progress(&bar, now));
+        let Some(set) = plan.search(options, &observer).map_err(failed)? else {
+            bar.finish_and_clear();
             return Err(CliError::Gate(format!(
                 "{}: no set found; try larger --cells, --splits or --smallest-gap",
                 self.controller.name
             )));
         };
+        bar.set_message("checking the proof");
         let accepted = check_with(&set.certificate, plan.policy_bytes(), WorkLimit::UNLIMITED)
             .map_err(|rejection| CliError::Gate(format!("the checker rejected the proof: {rejection}")))?;
-        if let Some(path) = &self.certificate {
-            write_certificate(path, &set.certificate, plan.policy_bytes().unwrap_or_default())?;
-        }
-        if let Some(path) = &self.plot {
-            let mut files = StagedFiles::default();
-            let figure = draw_invariant_set(&self.picture_lines(&set), self.gap);
-            files.stage(&output::resolve_output_path(path)?, &render_figure(&figure, path)?)?;
-            files.commit()?;
-        }
+        bar.set_message("searching for a leader that defeats the controller");
         let defeat = plan.defeat(&set.table).map_err(failed)?;
+        bar.finish_and_clear();
         let ProvedClaim::Invariant { share, min_gap_m, own_speed_is_kept } = accepted else {
             return Err(CliError::Gate("the checker proved another claim".to_owned()));
         };
+        self.write_files(&plan, &set)?;
         let report = InvariantReport {
             controller: &self.controller.name,
             scenario: &set.certificate.provenance.scenario,
@@ -215,7 +185,65 @@ impl InvariantCommand {
     }
 }
 
+/// Shows the stage of a search and the share of it that is done.
+fn show_progress(bar: &ProgressBar, now: &InvariantProgress) {
+    let InvariantProgress { own_mps, stage, done, total } = now;
+    bar.set_length(*total as u64);
+    bar.set_position(*done as u64);
+    bar.set_message(match stage {
+        InvariantStage::Simulate => format!("up to {own_mps:.2} m/s: simulating leaders"),
+        InvariantStage::Raise { pass } => format!("up to {own_mps:.2} m/s: raising the boundary, pass {pass}"),
+    });
+}
+
 impl InvariantCommand {
+    /// Returns the limits and the region that the arguments state.
+    fn spec(&self, scenario: &Scenario) -> InvariantSpec {
+        let (motion, region_leader_mps) = match self.plant {
+            InvariantPlant::Absolute => (MotionModel::Absolute, self.leader_speed),
+            InvariantPlant::Relative => (MotionModel::Relative, [0.0; 2]),
+        };
+        InvariantSpec {
+            version: 1,
+            scenario: scenario.spec().name.clone(),
+            motion,
+            leader_mps2: self.leader_accel,
+            observation_error: [self.gap_error, self.speed_error, self.speed_error],
+            region_gap_m: self.gap,
+            ends_beyond_gap_m: self.end_beyond_gap,
+            region_own_mps: self.speed,
+            region_leader_mps,
+            controller: None,
+        }
+    }
+
+    /// Describes an error with the option that caused it.
+    fn describe_refusal(&self, error: InvalidBox) -> CliError {
+        match error {
+            InvalidBox::Controller(problem) => CliError::Input(format!("--controller: {problem}")),
+            InvalidBox::Mapping(invalid) => {
+                let place = self.controller.field_location(&invalid.field);
+                CliError::Input(format!("--controller: {place}cannot be followed: {invalid}"))
+            }
+            InvalidBox::Field { field, problem } => CliError::Input(format!("{}: {problem}", option_of(&field))),
+            other => CliError::input(other),
+        }
+    }
+
+    /// Writes the certificate and the picture, if the arguments name their files.
+    fn write_files(&self, plan: &InvariantPlan, set: &InvariantSet) -> Result<(), CliError> {
+        if let Some(path) = &self.certificate {
+            write_certificate(path, &set.certificate, plan.policy_bytes().unwrap_or_default())?;
+        }
+        if let Some(path) = &self.plot {
+            let mut files = StagedFiles::default();
+            let figure = draw_invariant_set(&self.picture_lines(set), self.gap);
+            files.stage(&output::resolve_output_path(path)?, &render_figure(&figure, path)?)?;
+            files.commit()?;
+        }
+        Ok(())
+    }
+
     /// Returns the boundary against the closing speed, for some own speeds.
     fn picture_lines(&self, set: &InvariantSet) -> Vec<(String, Vec<(f64, f64)>)> {
         let [own, leader] = *set.table.axes();

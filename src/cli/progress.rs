@@ -39,6 +39,11 @@ pub(super) fn counter(what: &'static str, quiet: bool) -> ProgressBar {
     progress_bar("{msg} {spinner} {human_pos} runs", None, quiet).with_message(what)
 }
 
+/// Returns a bar of the completed share of a stage, which the message names.
+pub(super) fn share_bar(what: &'static str, quiet: bool) -> ProgressBar {
+    progress_bar("{bar:30} {percent:>3} %  {msg}", Some(1), quiet).with_message(what)
+}
+
 pub(super) fn depth_line(what: &'static str, total: u64, quiet: bool) -> ProgressBar {
     progress_bar("{prefix} {spinner} {msg}", Some(total), quiet).with_prefix(what)
 }

@@ -7,12 +7,12 @@ use clap::{Args, ValueEnum};
 use serde::Serialize;
 
 use super::artifacts::ArtifactArgs;
-use super::{CliError, args, value_enums};
+use super::{CliError, args, progress, value_enums};
 use crumple_core::observer::Quiet;
 use crumple_core::quoting::TerminalText;
 use crumple_search::worst_case::{
-    AttackError, AttackObjective, AttackReport, Envelope, FaultKindResult, MildestFault, SensorAttackResult,
-    SensorFailure, attack, attack_sensors,
+    AttackError, AttackObjective, AttackReport, Envelope, FaultKindResult, MildestFault, SearchedSizes,
+    SensorAttackResult, SensorFailure, attack, attack_sensors, max_sensor_simulations,
 };
 use crumple_store::disk::StagedFiles;
 use crumple_world::observation::EstimatorKind;
@@ -30,11 +30,13 @@ program.
 for a budget below 400, 112 below 2000, otherwise 864) and, if one collides, makes at most 144 simulations to find \
 milder ones. If the budget is exceeded, the output says so.
 
---attack sensors searches for the mildest sensor fault instead. Each kind of fault is scaled from none to a limit, \
-which the output states: 20 shares of the limit, then bisection to a thousandth. The mildest fault that causes a \
-collision, and the mildest that causes unnecessary braking (as for `crumple simulate --expect useful`), have the \
-smallest share of their limit. A milder fault between the simulated ones may exist. --out writes the scenario with the \
-mildest fault that causes a collision, or else unnecessary braking.
+--attack sensors searches for the mildest sensor fault instead. For each kind of fault, crumple simulates sizes in \
+order, from 0.01 m or s (latency 0.002 s, range 199.9 m) to a limit, until one causes a collision and one causes \
+unnecessary braking (as for `crumple simulate --expect useful`), and then nine sizes between each of them and the one \
+before. A ghost appears at 8 times, 3 gaps and 2 speeds. A printed size causes the failure when it is simulated; a \
+smaller one between the simulated sizes may exist. The mildest fault has the smallest share of its limit. There are at \
+most 18 581 simulations. --out writes the scenario with the mildest fault that causes a collision, or else unnecessary \
+braking.
 
 A margin is the smallest gap or, after a collision at v m/s, minus v²/10. A scenario may have 500 000 vehicles times \
 steps, and all simulations together 20 000 million, which takes some minutes.
@@ -113,7 +115,8 @@ impl WorstCase {
             return Err(CliError::Input(format!("{}: no vehicle is under test", self.scenario)));
         }
         let options = RunOptions::new(self.controller.kind.clone()).with_estimator(self.estimator);
-        let result = attack_sensors(&scenario, &options, &Quiet)
+        let bar = progress::run_bar("searching", max_sensor_simulations(), quiet);
+        let result = progress::show(&bar, |observer| attack_sensors(&scenario, &options, observer))
             .map_err(|error| CliError::Input(format!("{}: {error}", self.scenario)))?;
         self.controller.ensure_trusted()?;
         let report = SensorAttackReport {
@@ -200,25 +203,35 @@ fn describe_sensor_attack(report: &SensorAttackReport<'_>) -> String {
     ] {
         let _ = match found {
             _ if happens_anyway => writeln!(text, "  {failure} happens without a further fault"),
-            None => writeln!(text, "  no fault up to its limit causes {failure}"),
+            None => writeln!(text, "  no simulated fault causes {failure}"),
             Some(fault) => {
                 let MildestFault { kind, share, amount, unit, .. } = fault;
                 let percent = 100.0 * share;
                 writeln!(
                     text,
-                    "  mildest fault that causes {failure}: {kind}, {amount:.2} {unit}, {percent:.1} % of its limit"
+                    "  mildest fault that causes {failure}: {kind}, {amount} {unit}, {percent:.1} % of its limit"
                 )
             }
         };
     }
-    let size = |found: &Option<MildestFault>| {
-        let size = |fault: &MildestFault| format!("{:.2} {} ({:.1} %)", fault.amount, fault.unit, 100.0 * fault.share);
-        found.as_ref().map_or("-".to_owned(), size)
-    };
-    let _ = writeln!(text, "  {:<16} {:<26} {:>18} {:>20}", "fault", "limit", "collision", "unnecessary braking");
-    for FaultKindResult { kind, limit, collision, unnecessary_braking } in &result.kinds {
-        let [collision, braking] = [collision, unnecessary_braking].map(size);
-        let _ = writeln!(text, "  {kind:<16} {limit:<26} {collision:>18} {braking:>20}");
+    let _ = writeln!(
+        text,
+        "  {:<16} {:<26} {:<16} {:>16} {:>20}",
+        "fault", "limit", "sizes searched", "collision", "unnecessary braking"
+    );
+    for FaultKindResult { kind, limit, sizes, collision, unnecessary_braking } in &result.kinds {
+        let [collision, braking] = [
+            (collision, result.collides_without_fault),
+            (unnecessary_braking, result.brakes_unnecessarily_without_fault),
+        ]
+        .map(|(found, happens_anyway)| match found {
+            Some(fault) => format!("{} {}", fault.amount, fault.unit),
+            None if happens_anyway => "not searched".to_owned(),
+            None => format!("none of {}", sizes.count),
+        });
+        let SearchedSizes { smallest, largest, unit, .. } = sizes;
+        let sizes = format!("{smallest} to {largest} {unit}");
+        let _ = writeln!(text, "  {kind:<16} {limit:<26} {sizes:<16} {collision:>16} {braking:>20}");
     }
     let _ = writeln!(text, "  mildest faults found; {} simulations", result.evaluations);
     text

@@ -225,6 +225,109 @@ fn every_command_of_a_report_runs_in_its_folder() {
     assert!(!report.join("PWNED").exists() && !folder.path().join("PWNED").exists());
 }
 
+/// A process that keeps its speed.
+const KEEPS_SPEED: &str = r#"#!/bin/sh
+while read -r line; do
+    id=${line#'{"id":'}
+    id=${id%%,*}
+    case $line in
+        *hello*) printf '%s\n' '{"crumple":1,"name":"keeps speed","deterministic":true}' ;;
+        *reset*) printf '%s\n' "{\"id\":$id,\"ready\":true}" ;;
+        *) printf '%s\n' "{\"id\":$id,\"acceleration_mps2\":0}" ;;
+    esac
+done
+"#;
+
+/// Returns a space in which a vehicle follows a leader at 20 m/s less `closing_mps`, with a gap of 36 to 40 m.
+fn approach_space(name: &str, closing_mps: f64) -> String {
+    let leader_mps = 20.0 - closing_mps;
+    format!(
+        "version = 1\nname = \"{name}\"\nabout = \"An approach.\"\n[base]\nversion = 1\nname = \"{name}\"\nabout = \
+         \"An approach.\"\nduration_s = 2.5\n[[base.vehicles]]\nclass = \"light\"\nposition_m = 40.0\nspeed_mps = \
+         {leader_mps:?}\ndriver{STILL}\n[[base.vehicles]]\nclass = \"light\"\nposition_m = 0.0\nspeed_mps = \
+         20.0\ndriver = \"under-test\"\n[[parameters]]\nname = \"gap_m\"\nfield = \"vehicles[1].gap_m\"\nunit = \
+         \"m\"\ndistribution.uniform = {{ low = 36.0, high = 40.0 }}\n"
+    )
+}
+
+/// Returns the text of each command in the Markdown of a report that begins like this.
+fn commands_in<'a>(markdown: &'a str, begin: &str) -> Vec<&'a str> {
+    markdown.split('`').filter(|code| code.starts_with(begin)).collect()
+}
+
+/// The printed checks, and each command of `replay.sh`, end as the report states, for every kind of controller. A
+/// comparison that is not shown, and counts of another release, are no obstacle.
+#[test]
+fn a_fresh_report_passes_its_own_checks() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let write = |name: &str, contents: &[u8]| fs::write(folder.path().join(name), contents).expect("writes");
+    write("keeps speed.sh", KEEPS_SPEED.as_bytes());
+    write("keeps.toml", b"version = 1\ncommand = [\"sh\", \"keeps speed.sh\"]\nfiles = [\"keeps speed.sh\"]\n");
+    write("own.safetensors", Policy::retrained_bytes());
+    let network = Path::new(env!("CARGO_MANIFEST_DIR")).join("corpora/controllers/ppo.zip");
+    fs::copy(network, folder.path().join("ppo.zip")).expect("copied");
+    write("barrier.toml", approach_space("barrier", 20.0).as_bytes());
+    write("calm.toml", approach_space("calm", 0.0).as_bytes());
+    let paper = built_in_space("paper").expect("built in");
+    let mut older = count_certificate("idm", None, &paper, EstimatorKind::Kalman, folder.path());
+    let Statement::Rate(rate) = &mut older.statement else { panic!("a rate") };
+    rate.registration.configuration.insert("crumple".to_owned(), "0.0.9".to_owned());
+    rate.registration_sha256 = rate.registration.digest();
+    write("older.json", serde_json::to_string(&older).expect("JSON").as_bytes());
+    let config = "version = 1\npaper = false\ncontrollers = [\"keeps.toml\", \"own.safetensors\", \"ppo.zip\", \
+                  \"shield:own.safetensors\", \"idm\"]\nsubject = \"own.safetensors\"\ndistributions = \
+                  [\"barrier.toml\", \"calm.toml\"]\ndraws = 5\neveryday_draws = 0\nrates = { runs = 40, confidence = \
+                  0.99 }\nsearch = { spaces = [\"barrier.toml\"], budget = 5 }\ncertificates = [\"older.json\"]\n";
+    write("a.toml", config.as_bytes());
+    let program = Path::new(env!("CARGO_BIN_EXE_crumple"));
+    let path =
+        format!("{}:{}", program.parent().expect("a folder").display(), std::env::var("PATH").unwrap_or_default());
+    let shell = |command: &str, at: &Path| {
+        let ran = Command::new("sh").arg("-c").arg(command).current_dir(at).env("PATH", &path).output();
+        let ran = ran.expect("a shell");
+        let [out, error] = [&ran.stdout, &ran.stderr].map(|text| String::from_utf8_lossy(text).into_owned());
+        assert!(ran.status.success(), "{command}: {out}{error}");
+        out
+    };
+    shell("crumple assess a.toml --out report", folder.path());
+    let report = folder.path().join("report");
+    // The report does not depend on the files that were assessed.
+    let elsewhere = tempfile::tempdir().expect("a folder");
+    let moved = elsewhere.path().join("report");
+    fs::rename(&report, &moved).expect("moved");
+    drop(folder);
+    let evidence: serde_json::Value =
+        serde_json::from_str(&fs::read_to_string(moved.join("assessment.json")).expect("written")).expect("JSON");
+    let certificate = |name: &str| {
+        let all = evidence["proofs"]["certificates"].as_array().expect("a list");
+        all.iter().find(|proof| proof["name"] == name).unwrap_or_else(|| panic!("{name}: {all:#?}")).clone()
+    };
+    let shown = certificate("own-safetensors-against-keeps-toml-barrier");
+    assert_eq!(shown["status"]["kind"], "accepted", "{shown}");
+    let calm = certificate("own-safetensors-against-keeps-toml-calm");
+    assert_eq!((&calm["status"]["kind"], &calm["file"]), (&"nothing_shown".into(), &serde_json::Value::Null));
+    assert!(!moved.join("certificates/own-safetensors-against-keeps-toml-calm.json").exists());
+
+    let markdown = fs::read_to_string(moved.join("assessment.md")).expect("written");
+    let checks = commands_in(&markdown, "crumple check");
+    // A later part explains the option `--rerun`.
+    let [check, recount, ..] = checks[..] else { panic!("{checks:?}") };
+    assert_eq!(check, "crumple check certificates/*.json");
+    shell(check, &moved);
+    let all = evidence["proofs"]["certificates"].as_array().expect("a list");
+    let is_counted = |proof: &&serde_json::Value| ["rate", "comparison"].map(Into::into).contains(&proof["statement"]);
+    // Another release counted `older`.
+    let is_shown = |proof: &&serde_json::Value| proof["status"]["kind"] == "accepted" && proof["name"] != "older";
+    let counted = all.iter().filter(is_counted).filter(is_shown).count();
+    assert_eq!(shell(recount, &moved).matches("confirmed: all 40 runs").count(), counted, "{recount}");
+    assert!(!recount.contains("older.json") && recount.contains("keeps.toml"), "{recount}");
+    let script = fs::read_to_string(moved.join("replay.sh")).expect("written");
+    let lines: Vec<&str> = script.lines().filter_map(|line| line.strip_prefix("run ")).collect();
+    assert!(lines.iter().any(|line| line.contains("/keeps.toml --expect collision")), "{script}");
+    lines.iter().for_each(|line| drop(shell(&format!("crumple {line}"), &moved)));
+    shell("sh replay.sh", &moved);
+}
+
 /// A custom space may have another name in the configuration than in its file.
 #[test]
 fn gates_find_the_draws_of_own_spaces() {

@@ -61,7 +61,7 @@ fn the_demands_of_an_escape_go_through_the_actuator() {
     assert_eq!(escape_survives(&towards_standing_vehicle(45.0), &escape.acceleration_mps2), Some(false));
 }
 
-/// The mildest fault fails, and one thousandth of the limit less of it does not.
+/// The mildest fault fails, and the next smaller size that was simulated does not.
 #[test]
 fn the_mildest_sensor_fault_fails_and_less_of_it_passes() {
     let scenario = towards_standing_vehicle(60.0);
@@ -71,12 +71,40 @@ fn the_mildest_sensor_fault_fails_and_less_of_it_passes() {
     let mildest = found.mildest(SensorFailure::Collision).expect("latency of 2 s");
     let shares = found.kinds.iter().filter_map(|kind| kind.mildest(SensorFailure::Collision)).map(|fault| fault.share);
     assert_eq!(mildest.share, shares.fold(f64::INFINITY, f64::min));
-    let collides = |faults: &SensorFaults| {
-        let faulty = scenario.edited(|spec| spec.sensors.faults = faults.clone()).unwrap();
-        Specification::NoContact.evaluate_scenario(&faulty, options.clone()).unwrap().is_violation()
-    };
     let latency = found.kinds[0].mildest(SensorFailure::Collision).expect("2 s is too late");
-    assert_eq!(latency.faults, SensorFaults { latency_s: 2.0 * latency.share, ..SensorFaults::default() });
-    let less = SensorFaults { latency_s: latency.faults.latency_s - 0.002, ..SensorFaults::default() };
-    assert!(collides(&latency.faults) && collides(&mildest.faults) && !collides(&less), "{latency:?}");
+    assert_eq!(latency.faults, SensorFaults { latency_s: latency.amount, ..SensorFaults::default() });
+    let less = SensorFaults { latency_s: latency.amount - 0.0002, ..SensorFaults::default() };
+    let fails = |faults: &SensorFaults| collides_with(&scenario, &options, faults);
+    assert!(fails(&latency.faults) && fails(&mildest.faults) && !fails(&less), "{latency:?}");
+}
+
+fn collides_with(scenario: &Scenario, options: &RunOptions, faults: &SensorFaults) -> bool {
+    let faulty = scenario.edited(|spec| spec.sensors.faults = faults.clone()).unwrap();
+    Specification::NoContact.evaluate_scenario(&faulty, options.clone()).unwrap().is_violation()
+}
+
+/// A resolution of 7.8 m makes `idm` collide, and coarser ones of 8 m and more do not. Each printed size is a short
+/// decimal number that itself causes the failure, and no smaller one of a coarser grid does.
+#[test]
+fn the_effect_of_a_sensor_fault_is_searched_where_it_is_not_monotone() {
+    let scenario = built_in_scenario("paper-1").unwrap();
+    let options = RunOptions::new(find("idm").kind);
+    let found = attack_sensors(&scenario, &options, &Quiet).unwrap();
+    let kind = |name: &str| found.kinds.iter().find(|kind| kind.kind == name).expect("a kind of fault");
+    let fails = |faults: &SensorFaults| collides_with(&scenario, &options, faults);
+    let resolution = kind("resolution").mildest(SensorFailure::Collision).expect("7.8 m causes a collision");
+    let of_size = |gap_resolution_m| SensorFaults { gap_resolution_m, ..SensorFaults::default() };
+    assert!(resolution.amount <= 7.8 && fails(&of_size(7.8)), "{resolution:?}");
+    assert!(!fails(&of_size(8.5)), "the effect is not monotone");
+    let smaller = (1..).map(|step| 0.25 * f64::from(step)).take_while(|size| *size < resolution.amount);
+    assert!(smaller.map(of_size).all(|faults| !fails(&faults)));
+    for fault in found.kinds.iter().filter_map(|kind| kind.mildest(SensorFailure::Collision)) {
+        let printed = fault.amount.to_string();
+        assert!(printed.len() <= 6 && fails(&fault.faults), "{fault:?}");
+    }
+    let range = kind("range").mildest(SensorFailure::Collision).expect("a vehicle must see its leader");
+    let seen = |range_m: f64| SensorFaults { range_m: Some(range_m), ..SensorFaults::default() };
+    assert!(fails(&seen(range.amount)) && !fails(&seen(range.amount + 0.01)), "{range:?}");
+    let late = kind("late detection");
+    assert_eq!((late.sizes.count, late.sizes.smallest, late.sizes.largest), (1000, 0.01, 10.0));
 }

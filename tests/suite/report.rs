@@ -107,6 +107,31 @@ fn the_committed_report_is_current() {
     }
 }
 
+/// The committed report states the commit that made it, without changes, in each of its formats. Where the history is
+/// there, that commit belongs to it.
+#[test]
+fn the_committed_report_was_made_from_a_clean_commit() {
+    let evidence: Value = serde_json::from_str(&read_committed("assessment.json")).expect("JSON");
+    let commit = evidence["provenance"]["made"]["commit"].as_str().expect("the report states a commit");
+    let is_hash = commit.len() == 40 && commit.chars().all(|letter| letter.is_ascii_hexdigit());
+    assert!(is_hash, "reports/assessment.json was made from `{commit}`: commit first, and renew the reports then");
+    for name in ["assessment.md", "assessment.html"] {
+        let text = read_committed(name);
+        assert!(text.contains(&format!(", commit {commit}, program ")), "reports/{name} states another commit");
+    }
+    let git = |arguments: &[&str]| {
+        let mut git = std::process::Command::new("git");
+        git.arg("-C").arg(env!("CARGO_MANIFEST_DIR")).args(arguments).output().ok().filter(|out| out.status.success())
+    };
+    // Without a prefix, the repository is that of this folder.
+    let is_own = git(&["rev-parse", "--show-prefix"]).is_some_and(|out| out.stdout == b"\n");
+    let is_shallow = git(&["rev-parse", "--is-shallow-repository"]).is_none_or(|out| out.stdout != b"false\n");
+    if is_own && !is_shallow {
+        let is_ancestor = git(&["merge-base", "--is-ancestor", commit, "HEAD"]).is_some();
+        assert!(is_ancestor, "commit {commit} of reports/assessment.json is not in the history");
+    }
+}
+
 /// JUnit has one test per gate, which fails if the gate does not hold; refuted claims fail no build.
 #[test]
 fn junit_holds_each_gate_as_a_test() {
@@ -222,6 +247,52 @@ fn a_comparison_finds_changes() {
     let changed = again(&evidence.to_string());
     assert_eq!((changed.better.len(), changed.worse.len(), changed.new.len(), changed.gone.len()), (0, 1, 0, 0));
     assert!(changed.worse[0].description.starts_with("baseline: no collision"), "{:?}", changed.worse);
+}
+
+/// In the whole comparison, no search that found more failures is better in any row, and a claim whose evidence was
+/// counted runs is not compared with results of a search.
+#[test]
+fn a_search_with_more_failures_is_worse_in_every_row() {
+    use crumple_report::assessment::{AssessmentComparison, EarlierAssessment};
+    let mut evidence: Value = serde_json::from_str(&BUILT_IN_ASSESSMENT.to_json().expect("serializes")).expect("JSON");
+    // The earlier search of `road` in `high-risk` found one failure less, and all of them were avoidable.
+    let spaces = evidence["searches"]["spaces"].as_array_mut().expect("spaces");
+    let space = spaces.iter_mut().find(|space| space["name"] == "high-risk").expect("searched");
+    let searches = space["controllers"].as_array_mut().expect("controllers");
+    let search = searches.iter_mut().find(|search| search["controller"] == "road").expect("searched");
+    let failures = search["failures"].as_array_mut().expect("failures");
+    failures.pop().expect("it fails");
+    failures.iter_mut().for_each(|failure| failure["class"] = "avoidable".into());
+    let count = failures.len();
+    let place = evidence["summary"]["controllers"].as_array().expect("names").iter().position(|name| name == "road");
+    let place = place.expect("assessed");
+    let mut anywhere = None;
+    for row in evidence["summary"]["claims"].as_array_mut().expect("claims") {
+        let words = row["claim"].as_str().expect("words").to_owned();
+        let status = &mut row["standings"][place];
+        if words.starts_with("no collision in a search of `high-risk`") {
+            (status["failures"], status["avoidable"]) = (count.into(), count.into());
+        } else if words == "no collision anywhere in `high-risk`" {
+            // Failures of a search refuted it, and now random scenarios do, or the reverse.
+            *status = match status["strength"] == "found" {
+                true => serde_json::json!({ "strength": "refuted", "failures": 150, "runs": 200 }),
+                false => serde_json::json!({ "strength": "found", "failures": 150, "avoidable": 150 }),
+            };
+            anywhere = Some(words);
+        }
+    }
+    assert!(anywhere.is_some(), "claimed");
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("old.json");
+    fs::write(&path, evidence.to_string()).expect("writes");
+    let earlier = EarlierAssessment::load(&path).expect("evidence");
+    let found = AssessmentComparison::new(&earlier, &BUILT_IN_ASSESSMENT).expect("comparable");
+    assert!(found.better.is_empty(), "{:?}", found.better);
+    let [worse] = &found.worse[..] else { panic!("{:?}", found.worse) };
+    assert!(worse.description.starts_with("road: no collision in a search of `high-risk`"), "{worse:?}");
+    assert!(worse.before.as_deref().is_some_and(|before| before.starts_with(&format!("{count} distinct"))));
+    let [changed] = &found.changed[..] else { panic!("{:?}", found.changed) };
+    assert_eq!(changed.description, "road: no collision anywhere in `high-risk`");
 }
 
 /// The verdict table follows from the evidence alone.

@@ -87,7 +87,7 @@ pub enum Assumption {
     EgoCanBrake,
     /// The own vehicle applies the stated policy's command at once, at the stated instants.
     PolicyDrives,
-    /// The observations of the policy are within the stated errors of the true state.
+    /// Each observed quantity is within its stated error of the true state.
     ObservedWithin,
     /// The single-precision tanh is within 2⁻²² of the true one.
     TanhWithin,
@@ -119,7 +119,7 @@ impl std::fmt::Display for Assumption {
             Self::LeaderWithinLimit => "the vehicle ahead never brakes harder than stated",
             Self::EgoCanBrake => "from every decision on, the own vehicle can brake at the stated rate",
             Self::PolicyDrives => "the vehicle under test does at once what the stated policy asks for",
-            Self::ObservedWithin => "what the policy observes is within the stated errors of the truth",
+            Self::ObservedWithin => "each observed quantity is within its stated error of the true state",
             Self::TanhWithin => "tanh in single precision is within 2^-22 of the true one",
             Self::ExpWithin => "exp and exp - 1 in single precision have a relative error of at most 2^-22",
             Self::NetworkAsRead => {

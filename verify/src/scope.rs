@@ -233,14 +233,47 @@ fn reach_scope(claim: &ReachClaim) -> Scope {
         }
         (None, None) => NO_VEHICLE_BEHIND.to_owned(),
     };
-    let largest = claim.observation_error.iter().copied().fold(0.0, f64::max);
-    let limits = vec![format!(
-        "{} steps of {} s; what is observed is off by {} at most (m, m/s, m/s²)",
-        claim.steps,
-        claim.step_s,
-        format_number(largest)
-    )];
+    let limits = vec![format!("{} steps of {} s", claim.steps, claim.step_s), reach_errors(claim)];
     Scope { behind: Some(behind), ..partial_scope(Some(claim.horizon_s()), vehicles, limits) }
+}
+
+/// Describes the observation errors of a reach claim; those of a follower only if there is one.
+fn reach_errors(claim: &ReachClaim) -> String {
+    let [gap, gap_behind, leader, own, follower, leader_mps2, own_mps2, follower_mps2] = claim.observation_error;
+    let mut errors = vec![
+        ("gap ahead", gap, "m"),
+        ("leader's speed", leader, "m/s"),
+        ("own speed", own, "m/s"),
+        ("leader's acceleration", leader_mps2, "m/s²"),
+        ("own acceleration", own_mps2, "m/s²"),
+    ];
+    if claim.follower_ttc_s.is_some() || claim.follower_law.is_some() {
+        errors.extend([
+            ("gap behind", gap_behind, "m"),
+            ("follower's speed", follower, "m/s"),
+            ("follower's acceleration", follower_mps2, "m/s²"),
+        ]);
+    }
+    describe_errors(&errors)
+}
+
+/// Describes the observation errors of an invariant claim. A network may observe any acceleration within the limits.
+fn invariant_errors(claim: &InvariantClaim) -> String {
+    let [gap, own, leader] = claim.observation_error;
+    let errors = describe_errors(&[("gap", gap, "m"), ("own speed", own, "m/s"), ("leader's speed", leader, "m/s")]);
+    match &claim.controller {
+        InvariantController::Law(_) => errors,
+        InvariantController::Network(_) => {
+            format!("{errors}; observed accelerations are any within the limits of the vehicles")
+        }
+    }
+}
+
+/// Describes the largest error of each observed quantity, given as name, error and unit.
+fn describe_errors(errors: &[(&str, f64, &str)]) -> String {
+    let errors: Vec<_> =
+        errors.iter().map(|(quantity, error, unit)| format!("{quantity} {} {unit}", format_number(*error))).collect();
+    format!("largest observation errors: {}", errors.join(", "))
 }
 
 fn invariant_scope(claim: &InvariantClaim) -> Scope {
@@ -270,15 +303,12 @@ fn invariant_scope(claim: &InvariantClaim) -> Scope {
         round_down(own.high),
         round_down(claim.initial_own_mps_at_most)
     );
-    let largest = claim.observation_error.iter().copied().fold(0.0, f64::max);
     let ends = claim.ends_beyond_gap_m.map(|gap_m| format!("until a gap exceeds {gap_m} m"));
-    let largest = format_number(largest);
     let decides = match claim.decision_steps {
         1 => format!("a decision in each step of {} s", claim.step_s),
         steps => format!("a decision every {steps} steps of {} s", claim.step_s),
     };
-    let limits = vec![format!("{decides}; observations err by at most {largest} (m, m/s)")];
-    let limits = limits.into_iter().chain(ends).collect();
+    let limits = [decides, invariant_errors(claim)].into_iter().chain(ends).collect();
     let behind = match &claim.controller {
         InvariantController::Law(_) => "behind: not considered",
         InvariantController::Network(_) => NO_VEHICLE_BEHIND,

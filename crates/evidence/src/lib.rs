@@ -29,7 +29,9 @@ pub use binding::{BindingError, ScenarioMismatch, check_binding, check_covers_sc
 pub use block::CountedBlock;
 pub use certificate_report::{CertificateReport, CountsStatus, report_json, report_text};
 pub use crumple_core::interval::RateInterval;
-pub use invariant::{Defeat, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet, InvariantSpec};
+pub use invariant::{
+    Defeat, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet, InvariantSpec, InvariantStage,
+};
 pub use kernel::{kernel_certificate, shipped_kernels};
 pub use method_comparison::{MAX_SEEDS, MethodComparison, MethodPair, MethodRuns, PairedTest};
 pub use paired::DiscordantPairs;

@@ -1,5 +1,7 @@
 //! `crumple verify` and shields on the command line.
 
+use std::time::Instant;
+
 use crumple_world::scenario::VehicleClass;
 
 use super::*;
@@ -55,6 +57,41 @@ fn error_bounds_are_six_standard_deviations_and_nowhere_called_proved() {
     assert!(says("commands.md", "error bounds of six standard deviations"));
     assert!(says("limits.md", "its errors stay within six standard deviations at each step"));
     assert!(says("assessment.md", "six standard deviations of the noise with the Kalman filter"));
+}
+
+/// Limits that the search for a leader cannot simulate are refused at once, and no certificate is written.
+#[test]
+fn limits_of_an_invariant_set_are_refused_before_the_search() {
+    let folder = temp_folder();
+    for (arguments, message) in [
+        ("--leader-accel=-9..4", "--leader-accel: must be within -7.5 to 3 m/s², the limits of the leader"),
+        ("--leader-accel=-7.5..3.1", "--leader-accel: must be within -7.5 to 3 m/s²"),
+        ("--leader-accel=1..3", "--leader-accel: must contain 0"),
+        ("--speed 0..150", "vehicles[1].speed_mps: must be from 0 to 100"),
+        ("--leader-speed 0..101", "vehicles[0].speed_mps: must be from 0 to 100"),
+        ("--gap 0", "--gap: must be positive"),
+        ("--speed 5..5", "the speeds of the region must increase"),
+        ("--end-beyond-gap 20", "--end-beyond-gap: is below the gap of the region"),
+        ("--plant relative", "--plant: is relative, and the controller depends on its own speed"),
+    ] {
+        let begun = Instant::now();
+        let command = format!("verify invariant --controller idm --certificate set.json {arguments}");
+        assert_refused(&run_crumple(folder.path(), &command), message);
+        // The search takes half a minute.
+        assert!(begun.elapsed() < Duration::from_secs(10), "{arguments}: {:?}", begun.elapsed());
+        assert!(!folder.path().join("set.json").exists(), "{arguments}");
+    }
+}
+
+/// A gap error of 0 beside a speed error of 0.5 m/s: with a gap error of 0.45 m the controller collides.
+#[test]
+fn the_certificate_of_a_set_states_each_observation_error() {
+    let folder = temp_folder();
+    let errors = "--gap-error 0 --speed-error 0.5 --speed 0..6 --leader-speed 0..6 --cells 30";
+    let set = format!("verify invariant --controller idm,standstill_gap_m=0.3 {errors} --certificate set.json");
+    let message = "largest observation errors: gap 0 m, own speed 0.5 m/s, leader's speed 0.5 m/s";
+    assert_prints(&run_crumple(folder.path(), &set), 0, &[message]);
+    assert_prints(&run_crumple(folder.path(), "check set.json"), 0, &[message, "within its stated error of the true"]);
 }
 
 /// The JSON names the policy and the checker's verdict; errors in a box have file, line and field.

@@ -231,7 +231,7 @@ impl InvariantClaim {
     ///
     /// # Errors
     /// [`Rejection`] names the field.
-    fn check_axes(&self, table: &HeightTable) -> Result<(), Rejection> {
+    pub fn check_axes(&self, table: &HeightTable) -> Result<(), Rejection> {
         let wrong = |problem| Err(Rejection::invalid("axes", problem));
         let [own, leader] = self.axes;
         if self.initial_own_mps_at_most > own.high {

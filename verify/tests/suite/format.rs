@@ -420,6 +420,45 @@ fn the_duration_of_a_claim_is_printed_in_seconds() {
     assert!(text.contains("for 2.5 s from the start\n"), "{text}");
 }
 
+/// A claim with a large error of one quantity covers no such error of another quantity.
+#[test]
+fn the_scope_states_the_error_of_each_observed_quantity() {
+    let with = |change: &dyn Fn(&mut ReachClaim)| {
+        let mut certificate = reach();
+        let Statement::Reach(claim) = &mut certificate.statement else { panic!("a box") };
+        claim.observation_error = [0.2, 0.3, 0.5, 0.4, 0.6, 1e-9, 0.0, 0.7];
+        change(claim);
+        certificate.scope().to_string()
+    };
+    let without_follower = "\nlargest observation errors: gap ahead 0.2 m, leader's speed 0.5 m/s, own speed 0.4 m/s, \
+                            leader's acceleration 1e-9 m/s², own acceleration 0 m/s²";
+    let follower = ", gap behind 0.3 m, follower's speed 0.6 m/s, follower's acceleration 0.7 m/s²";
+    assert!(with(&|_| ()).ends_with(&format!("{without_follower}{follower}")), "{}", with(&|_| ()));
+    let message = with(&|claim| claim.follower_ttc_s = None);
+    assert!(message.ends_with(without_follower), "{message}");
+
+    let of = |controller: Value| {
+        let claim = json!({
+            "motion": "absolute", "controller": controller, "step_s": 0.01, "decision_steps": 1, "own_mps2": [-7.5, 3],
+            "leader_mps2": [-7.5, 3], "observation_error": [0, 0.5, 0.25], "region_gap_m": 100,
+            "region_own_mps": [0, 6], "region_leader_mps": [0, 6], "initial_own_mps_at_most": 6,
+            "axes": [{"low": 0, "high": 6, "cells": 4}, {"low": 0, "high": 6, "cells": 4}], "splits": 1,
+            "heights": [[25, 1]], "share_at_least": 0, "min_gap_m_at_least": 0
+        });
+        let statement: Statement = serde_json::from_value(json!({ "invariant": claim })).unwrap();
+        Certificate { statement, ..reach() }.scope().to_string()
+    };
+    let idm = json!({"law": {"idm": {
+        "desired_speed_mps": 30, "time_headway_s": 1.5, "standstill_gap_m": 2, "accel_mps2": 0.7,
+        "comfortable_brake_mps2": 1.7, "max_accel_mps2": 3
+    }}});
+    let errors = "\nlargest observation errors: gap 0 m, own speed 0.5 m/s, leader's speed 0.25 m/s";
+    assert!(of(idm.clone()).ends_with(errors), "{}", of(idm));
+    let network = json!({"network": {"policy_file": "p.safetensors", "policy_sha256": "00"}});
+    let accelerations = "; observed accelerations are any within the limits of the vehicles";
+    assert!(of(network.clone()).ends_with(&format!("{errors}{accelerations}")), "{}", of(network));
+}
+
 #[test]
 fn statements_have_the_names_used_in_files() {
     let Statement::Unavoidable(UnavoidableClaim { scene, branches }) = unavoidable().statement else { panic!() };

@@ -47,10 +47,24 @@ pub struct InvariantOptions {
 pub struct InvariantProgress {
     /// Largest initial own speed of this attempt, in m/s.
     pub own_mps: f64,
-    /// Passes over the table.
-    pub pass: u32,
-    /// Cells that failed in the last pass.
-    pub failed: usize,
+    /// Stage of the attempt.
+    pub stage: InvariantStage,
+    /// Completed nodes or cells of this stage. Cells that a later one changes again are no longer complete.
+    pub done: usize,
+    /// Nodes or cells of the table.
+    pub total: usize,
+}
+
+/// Stage of an attempt to find a set.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum InvariantStage {
+    /// Simulates leaders from the states of each node.
+    Simulate,
+    /// Raises the boundary in this pass over the cells, from 1.
+    Raise {
+        /// Number of the pass.
+        pass: u32,
+    },
 }
 
 /// A controller, its limits and a region.
@@ -98,7 +112,9 @@ impl InvariantPlan {
         let claim = spec.frame(scenario, bytes.as_deref())?;
         claim.check_model(bytes.as_deref()).map_err(map_rejection)?;
         let texts = [file::to_toml(scenario)?, toml::to_string(&spec)?];
-        Ok(Self { scenario: scenario.clone(), controller, texts, bytes, claim })
+        let plan = Self { scenario: scenario.clone(), controller, texts, bytes, claim };
+        plan.check_can_simulate()?;
+        Ok(plan)
     }
 
     /// Returns the policy file, for the checker.
@@ -155,17 +171,20 @@ impl InvariantPlan {
         let lowest_m = claim.floor_m().max(options.smallest_gap_m);
         let start_m = ((lowest_m / HEIGHT_UNIT_M).floor() + 1.0) * HEIGHT_UNIT_M;
         let mut table = HeightTable::new(claim.axes, start_m).map_err(map_rejection)?;
+        // An invalid region is refused before the long part of the search.
+        claim.check_axes(&table).map_err(map_rejection)?;
+        claim.share(&table).map_err(map_rejection)?;
         let highest_m = claim.ends_beyond_gap_m.unwrap_or(HIGHEST_GAPS * claim.region_gap_m);
         let mut stopped = Ok(());
-        let mut observe = |pass: u32, failed: usize| {
-            stopped = observer.notify(&InvariantProgress { own_mps, pass, failed });
+        let mut observe = |stage: InvariantStage, [done, total]: [usize; 2]| {
+            stopped = observer.notify(&InvariantProgress { own_mps, stage, done, total });
             stopped.is_ok()
         };
         let Some(controller) = self.start(&claim) else { return Ok(None) };
         let mut search = BoundarySearch { claim: &claim, controller, policy: self.bytes.as_deref(), highest_m };
-        search.raise_to_simulation(&mut table);
+        let is_simulated = search.raise_to_simulation(&mut table, &mut observe);
         let simulated_share = claim.share(&table).map_err(map_rejection)?;
-        let passes = search.raise_boundary(&mut table, &mut observe);
+        let passes = if is_simulated { search.raise_boundary(&mut table, &mut observe) } else { None };
         stopped?;
         let Some(passes) = passes else { return Ok(None) };
         claim.heights = table.to_runs();

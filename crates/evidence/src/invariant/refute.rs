@@ -30,6 +30,45 @@ pub struct Defeat {
 }
 
 impl InvariantPlan {
+    /// Checks that states of the region, with any leader within the limits, can be simulated, as [`Self::defeat`] does.
+    ///
+    /// # Errors
+    /// [`InvalidBox`] names the limit, or the field of the scenario.
+    pub(super) fn check_can_simulate(&self) -> Result<(), InvalidBox> {
+        if self.claim.motion == MotionModel::Relative {
+            return Ok(());
+        }
+        let [brake, accelerate] = self.claim.leader_mps2;
+        if let Some(leader) = self.scenario.vehicles().first() {
+            let (max_brake_mps2, max_accel_mps2) = (leader.max_brake_mps2(), leader.max_accel_mps2());
+            if -brake > max_brake_mps2 || accelerate > max_accel_mps2 {
+                let name = &self.scenario.spec().name;
+                let problem = format!(
+                    "must be within -{max_brake_mps2} to {max_accel_mps2} m/s², the limits of the leader in scenario \
+                     `{name}`, found {brake} to {accelerate}"
+                );
+                return Err(InvalidBox::field("leader_mps2", problem));
+            }
+        }
+        for leader_accelerates_s in ACCELERATES_S {
+            let state = Defeat {
+                // The search reports a region without gaps.
+                gap_m: self.claim.region_gap_m.max(1.0),
+                own_mps: self.claim.region_own_mps[1],
+                leader_mps: self.claim.region_leader_mps[1],
+                leader_accelerates_s,
+            };
+            self.run(&state)?;
+        }
+        Ok(())
+    }
+
+    /// Returns the run of an initial state with the true state as observation.
+    fn run(&self, state: &Defeat) -> Result<Run, InvalidBox> {
+        let options = RunOptions::new(self.controller.clone()).with_estimator(EstimatorKind::Truth);
+        Ok(Run::new(&self.scenario_of(state)?, options)?)
+    }
+
     /// Returns the scenario of an initial state with a leader that accelerates for a while and then brakes.
     ///
     /// # Errors
@@ -62,9 +101,7 @@ impl InvariantPlan {
     /// # Errors
     /// [`InvalidBox`] if the state cannot be simulated.
     pub fn collides(&self, state: &Defeat) -> Result<bool, InvalidBox> {
-        let options = RunOptions::new(self.controller.clone()).with_estimator(EstimatorKind::Truth);
-        let run = Run::new(&self.scenario_of(state)?, options)?;
-        Ok(simulate(&run, RecordingLevel::Summary).outcome != Outcome::NoCollision)
+        Ok(simulate(&self.run(state)?, RecordingLevel::Summary).outcome != Outcome::NoCollision)
     }
 
     /// Searches below the boundary for the state with the largest gap from which a leader defeats the controller.

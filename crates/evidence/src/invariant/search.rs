@@ -8,6 +8,7 @@
 mod shortfall;
 mod simulated;
 
+use super::InvariantStage;
 use crumple_verify::InvariantClaim;
 use crumple_verify::invariant::MotionModel;
 use crumple_verify::invariant::table::{AXIS_COUNT, HEIGHT_UNIT_M, HeightTable};
@@ -47,12 +48,13 @@ pub(super) struct BoundarySearch<'a> {
 }
 
 impl BoundarySearch<'_> {
-    /// Raises a table until the checker accepts it. Returns the number of passes; `None` if a height would exceed the
-    /// limit, if `observe` returns false, or after too many passes.
+    /// Raises a table until the checker accepts it. `observe` receives the cells that need no change, and all cells.
+    /// Returns the number of passes; `None` if a height would exceed the limit, if `observe` returns false, or after
+    /// too many passes.
     pub(super) fn raise_boundary(
         &mut self,
         table: &mut HeightTable,
-        observe: &mut dyn FnMut(u32, usize) -> bool,
+        observe: &mut dyn FnMut(InvariantStage, [usize; 2]) -> bool,
     ) -> Option<u32> {
         let cells: Vec<Node> = table.cells().collect();
         let counts = table.axes().map(|axis| (axis.cells as usize).max(1));
@@ -62,6 +64,10 @@ impl BoundarySearch<'_> {
         for pass in 0..MAX_PASSES {
             let mut failed = 0;
             for &cell in &cells {
+                let stage = InvariantStage::Raise { pass: pass + 1 };
+                if cell[1] == 0 && !observe(stage, [is_due.iter().filter(|is_due| !**is_due).count(), cells.len()]) {
+                    return None;
+                }
                 if !std::mem::take(&mut is_due[index(cell)]) {
                     continue;
                 }
@@ -77,9 +83,6 @@ impl BoundarySearch<'_> {
                         mark_near(node, &shortfall, cell, counts, |near| is_due[index(near)] = true);
                     }
                 }
-            }
-            if !observe(pass, failed) {
-                return None;
             }
             if failed == 0 && !is_due.contains(&true) {
                 let rejected = self.claim.failing_cells(self.policy, table).ok()?;

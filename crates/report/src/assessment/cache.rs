@@ -64,6 +64,14 @@ pub enum CacheError {
     /// Evidence, or its inputs, cannot be encoded.
     #[error("cannot encode a piece of evidence: {0}")]
     Encoding(String),
+    /// The files of a process cannot be copied into the report.
+    #[error("cannot copy the files of the controller `{controller}` into the report: {problem}")]
+    Copy {
+        /// Name of the controller.
+        controller: String,
+        /// Reason.
+        problem: std::io::Error,
+    },
 }
 
 impl CacheError {

@@ -1,10 +1,9 @@
 //! Commands that reproduce the results of a report from its folder, and the files that they need.
 //!
-//! Every argument is quoted for a shell. Policies, networks and scenario spaces that are not built in are files of the
-//! report folder, policies and networks under their hashes. A controller in code has no command-line argument.
+//! Every argument is quoted for a shell. Policies, networks, processes and scenario spaces that are not built in are
+//! files of the report folder, controllers under their hashes. A controller in code has no command-line argument.
 
 use std::collections::BTreeSet;
-use std::ffi::OsStr;
 use std::fmt;
 use std::path::Path;
 
@@ -15,7 +14,7 @@ use super::plan::{NamedSpace, file_stem};
 use super::{AssessmentPlan, CacheError};
 use crumple_core::digest::sha256;
 use crumple_core::quoting::ShellWord;
-use crumple_world::control::NetworkController;
+use crumple_world::control::{NetworkController, ProcessController};
 use crumple_world::observation::EstimatorKind;
 use crumple_world::policy::Policy;
 use crumple_world::scenario::{controller_file, file};
@@ -60,7 +59,8 @@ impl fmt::Display for CrumpleCommand {
     }
 }
 
-/// Returns the controller's command-line argument in the report folder; `None` for a process or an external controller.
+/// Returns the controller's command-line argument in the report folder; `None` for an external controller, and for a
+/// process that copies of its files do not determine.
 pub(super) fn controller_arg(kind: &ControllerKind) -> Option<String> {
     match kind {
         ControllerKind::BuiltIn(spec) => Some(spec.to_arg()),
@@ -69,8 +69,13 @@ pub(super) fn controller_arg(kind: &ControllerKind) -> Option<String> {
             Some(format!("shield{}:{}", shielded.settings.to_arg(), controller_arg(&shielded.controller)?))
         }
         ControllerKind::Network(network) => Some(network_path(&controller_file::file_name(network))),
-        ControllerKind::Process(_) | ControllerKind::Custom(_) => None,
+        ControllerKind::Process(process) => Some(format!("{}/{}", process_folder(process)?, process.portable_file()?)),
+        ControllerKind::Custom(_) => None,
     }
+}
+
+fn process_folder(process: &ProcessController) -> Option<String> {
+    Some(format!("controllers/{}", process.identity()?.get(..16)?))
 }
 
 fn network_path(name: &str) -> String {
@@ -136,16 +141,24 @@ impl AssessmentPlan {
                 add(network_path(&name), contents);
             }
         }
+        for controller in &self.controllers {
+            let ControllerKind::Process(process) = controller.kind.unshielded() else { continue };
+            let Some(folder) = process_folder(process) else { continue };
+            let copied = |problem| CacheError::Copy { controller: controller.name.clone(), problem };
+            for (name, contents) in process.portable_files().map_err(copied)? {
+                add(format!("{folder}/{name}"), contents);
+            }
+        }
         for own in self.rate_spaces.iter().chain(&self.search_spaces).filter(|named| !named.is_built_in()) {
             add(own.path(), own.text.clone().into_bytes());
         }
         for given in &self.certificates {
-            // A certificate may name any file: copy only one in the same folder, with the expected hash.
+            // A certificate may name any file. The checker looks for one of that name in the certificate's folder.
             if let (Some((file, digest)), Some(policy)) = (given.certificate.policy_reference(), &given.policy)
                 && sha256(policy) == digest
-                && Path::new(file).file_name() == Some(OsStr::new(file))
+                && let Some(name) = Path::new(file).file_name()
             {
-                add(format!("certificates/{file}"), policy.clone());
+                add(format!("certificates/{}", name.to_string_lossy()), policy.clone());
             }
         }
         for (_, scenario) in &self.file_scenarios {
@@ -156,8 +169,15 @@ impl AssessmentPlan {
     }
 }
 
-/// Returns a shell script that runs the commands in turn and reports each unexpected result.
-pub(super) fn replay_script<'a>(commands: impl Iterator<Item = &'a CrumpleCommand>) -> String {
+/// Arguments that check all certificates of a report in its folder; a shell expands them.
+pub(super) const CHECK_ARGUMENTS: &str = "check certificates/*.json";
+
+/// Returns a shell script that checks files and certificates, repeats counts (`recount`), and runs the commands. It
+/// reports each unexpected result.
+pub(super) fn replay_script<'a>(
+    recount: Option<&'a CrumpleCommand>,
+    commands: impl Iterator<Item = &'a CrumpleCommand>,
+) -> String {
     let mut script = String::from(
         "#!/bin/sh\n\
          # Shows again what this report shows; every command may also be run by itself, in this folder. CRUMPLE names \
@@ -170,10 +190,15 @@ pub(super) fn replay_script<'a>(commands: impl Iterator<Item = &'a CrumpleComman
          run() { \"$crumple\" \"$@\" || { echo \"result differs from the report: crumple $*\" >&2; failed=1; }; }\n",
     );
     // A command on an edited file may fail for another reason than reported.
-    script += "run fsck .\nrun check --rerun certificates/*.json\n";
+    script += &format!("run fsck .\nrun {CHECK_ARGUMENTS}\n");
     // Controllers that fail at the same point of a suite share the command of its escape.
     let mut said = BTreeSet::new();
-    for command in commands.map(CrumpleCommand::shell_quoted).filter(|command| said.insert(command.clone())) {
+    for command in recount
+        .into_iter()
+        .chain(commands)
+        .map(CrumpleCommand::shell_quoted)
+        .filter(|command| said.insert(command.clone()))
+    {
         script += &format!("run {command}\n");
     }
     script + "exit $failed\n"

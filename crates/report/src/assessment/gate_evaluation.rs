@@ -278,7 +278,7 @@ fn check_nothing_worse(comparison: Option<&AssessmentComparison>) -> (bool, Stri
             let gone = comparison.gone.iter().filter(|change| !change.is_failure);
             let bad: Vec<_> = comparison.worse.iter().chain(new).chain(gone).collect();
             match bad.as_slice() {
-                [] => (true, "no result is worse".to_owned()),
+                [] => (true, format!("no result is worse{}", comparison.describe_changed())),
                 [first, ..] => (
                     false,
                     format!("{} results are worse, new failures, or missing; first: {}", bad.len(), first.description),

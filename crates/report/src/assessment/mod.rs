@@ -389,12 +389,14 @@ impl AssessmentReport {
             ("assessment.json".to_owned(), self.to_json()?),
             ("assessment.junit.xml".to_owned(), junit::render_junit(self)),
             ("assessment.gsn.yaml".to_owned(), self.argument.to_yaml()),
-            ("replay.sh".to_owned(), commands::replay_script(self.commands())),
+            ("replay.sh".to_owned(), commands::replay_script(self.proofs.recount_command().as_ref(), self.commands())),
         ];
         texts.extend(self.harm.iter().map(|harm| ("runs.csv".to_owned(), harm.runs_csv.clone())));
         let figures = self.paper_scenarios.iter().flat_map(PaperScenarios::figure_files);
         texts.extend(figures.map(|(name, svg)| (name, svg.document())));
-        texts.extend(self.proofs.certificates.iter().map(|proof| (proof.file.clone(), proof.text.clone())));
+        let written =
+            self.proofs.certificates.iter().filter_map(|proof| Some((proof.file.clone()?, proof.text.clone())));
+        texts.extend(written);
         let texts = texts.into_iter().map(|(name, text)| (name, text.into_bytes()));
         let needed = self.command_files.iter().map(|needed| (needed.file.clone(), needed.contents.clone()));
         let failures = self.searches.failures().flat_map(DistinctFailure::files);

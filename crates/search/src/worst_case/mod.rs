@@ -12,7 +12,7 @@
 //! **Worst-case braking** ([`attack()`]). The search finds the mildest braking of the leader that makes a controller
 //! collide, or the fastest impact, by pulses, ramps and sequential convex programming (`pulses`, `sequential`).
 //!
-//! **Sensor faults** ([`attack_sensors`]). A scan and a bisection find the mildest fault of each kind that makes a
+//! **Sensor faults** ([`attack_sensors`]). A scan of a fine grid finds the mildest fault of each kind that makes a
 //! controller collide or brake unnecessarily (`sensor_attack`).
 //!
 //! No solution is trusted: each profile is replayed, and each proof is checked from its multipliers.
@@ -50,4 +50,7 @@ pub use emergency_brake::EmergencyBrake;
 pub use escape::{Escape, FoundBy};
 pub use reason::UndecidedReason;
 pub use report::AttackReport;
-pub use sensor_attack::{FaultKindResult, MildestFault, SensorAttackResult, SensorFailure, attack_sensors};
+pub use sensor_attack::{
+    FaultKindResult, MildestFault, SearchedSizes, SensorAttackResult, SensorFailure, attack_sensors,
+    max_sensor_simulations,
+};

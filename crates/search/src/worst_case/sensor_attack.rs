@@ -1,9 +1,10 @@
 //! Mildest sensor fault that makes a controller collide or brake unnecessarily.
 //!
-//! Each kind of fault is scaled from none to a limit, and its share of the limit measures its size: the mildest fault
-//! has the smallest share. Twenty shares of each kind are simulated. Bisection to a thousandth follows between the
-//! first one that fails and the one before. Between two shares a controller may fail at a smaller fault, so that the
-//! result is the mildest fault found.
+//! Each kind of fault has sizes from the smallest one to a limit, on a grid of decimal numbers. A larger fault may be
+//! harmless where a smaller one is not, so the search does not bisect: it simulates the sizes in order until one causes
+//! each failure, and then nine sizes between that one and the one before. The smallest size that causes a failure is
+//! the result; a smaller one between the simulated sizes may exist. The share of the limit compares faults of different
+//! kinds.
 
 use serde::Serialize;
 
@@ -13,56 +14,131 @@ use crumple_world::measure::UnnecessaryBraking;
 use crumple_world::scenario::{GhostObject, Scenario, SensorFaults};
 use crumple_world::sim::{RecordingLevel, Run, RunOptions, SimulationResult, simulate_batch};
 
-/// Thousandths of the limit between two simulated shares, before the bisection.
-const COARSE_STEP: u32 = 50;
-const LIMIT: u32 = 1000;
+/// Parts into which the search divides the step to the smallest size that fails.
+const PARTS: u32 = 10;
+/// Sizes of each kind that are simulated together.
+const ROUND: u32 = 50;
 /// Times at which ghosts appear, as fractions of the duration.
 const GHOST_ONSETS: u32 = 8;
 const GHOST_GAPS_M: [f64; 3] = [10.0, 30.0, 60.0];
-const GHOST_LIMIT_S: f64 = 2.0;
+const GHOST_SPEEDS: usize = 2;
 const GHOST: &str = "ghost";
+/// Runs that are prepared together.
+const MAX_BATCH: usize = 256;
 
-/// A kind of fault, with one quantity that grows from none to a limit.
+/// A kind of fault, with one quantity whose sizes grow from none to a limit.
 struct FaultKind {
     name: &'static str,
     limit: &'static str,
-    /// Quantity without a fault and at the limit.
-    range: [f64; 2],
+    /// Quantity without a fault, and step between two sizes, both in units of 10^-`decimals`; divisible by [`PARTS`].
+    none: i32,
+    step: i32,
+    /// Number of sizes.
+    count: u32,
+    decimals: u32,
     unit: &'static str,
     set: fn(&mut SensorFaults, f64),
 }
 
 impl FaultKind {
-    const fn new(
-        name: &'static str,
-        limit: &'static str,
-        range: [f64; 2],
-        unit: &'static str,
-        set: fn(&mut SensorFaults, f64),
-    ) -> Self {
-        Self { name, limit, range, unit, set }
+    /// Returns the size at `place` steps and `part` of [`PARTS`] of a step: the number that its decimal text states, so
+    /// that a printed size is the simulated one.
+    fn amount(&self, FaultSize { place, part }: FaultSize) -> f64 {
+        let parts = place as i32 * PARTS as i32 + part as i32;
+        let units = self.none + parts * (self.step / PARTS as i32);
+        f64::from(units) / 10_f64.powi(self.decimals as i32)
     }
 
-    fn amount(&self, share: f64) -> f64 {
-        let [none, limit] = self.range;
-        none + (limit - none) * share
+    fn share(&self, FaultSize { place, part }: FaultSize) -> f64 {
+        f64::from(place * PARTS + part) / f64::from(self.count * PARTS)
+    }
+
+    fn searched_sizes(&self) -> SearchedSizes {
+        let [smallest, largest] = [1, self.count].map(|place| self.amount(FaultSize { place, part: 0 }));
+        SearchedSizes { count: self.count, smallest, largest, unit: self.unit }
     }
 }
 
 const KINDS: [FaultKind; 8] = [
-    FaultKind::new("latency", "2 s", [0.0, 2.0], "s", |faults, time_s| faults.latency_s = time_s),
-    FaultKind::new("gap too small", "10 m", [0.0, 10.0], "m", |faults, bias_m| faults.gap_bias_m = -bias_m),
-    FaultKind::new("gap too large", "10 m", [0.0, 10.0], "m", |faults, bias_m| faults.gap_bias_m = bias_m),
-    FaultKind::new("resolution", "10 m", [0.0, 10.0], "m", |faults, step_m| faults.gap_resolution_m = step_m),
-    FaultKind::new("outages", "one per second, 10 s long", [0.0, 10.0], "s", |faults, length_s| {
-        (faults.outage_rate_per_s, faults.outage_length_s) = (1.0, length_s);
-    }),
-    FaultKind::new("range", "1 m instead of 200 m", [200.0, 1.0], "m", |faults, range_m| {
-        faults.range_m = Some(range_m)
-    }),
-    FaultKind::new("late detection", "10 s", [0.0, 10.0], "s", |faults, delay_s| faults.detection_delay_s = delay_s),
-    FaultKind::new(GHOST, "2 s long", [0.0, GHOST_LIMIT_S], "s", |_, _| {}),
+    FaultKind {
+        name: "latency",
+        limit: "2 s",
+        none: 0,
+        step: 20,
+        count: 1000,
+        decimals: 4,
+        unit: "s",
+        set: |faults, time_s| faults.latency_s = time_s,
+    },
+    FaultKind {
+        name: "gap too small",
+        limit: "10 m",
+        none: 0,
+        step: 10,
+        count: 1000,
+        decimals: 3,
+        unit: "m",
+        set: |faults, bias_m| faults.gap_bias_m = -bias_m,
+    },
+    FaultKind {
+        name: "gap too large",
+        limit: "10 m",
+        none: 0,
+        step: 10,
+        count: 1000,
+        decimals: 3,
+        unit: "m",
+        set: |faults, bias_m| faults.gap_bias_m = bias_m,
+    },
+    FaultKind {
+        name: "resolution",
+        limit: "10 m",
+        none: 0,
+        step: 10,
+        count: 1000,
+        decimals: 3,
+        unit: "m",
+        set: |faults, step_m| faults.gap_resolution_m = step_m,
+    },
+    FaultKind {
+        name: "outages",
+        limit: "one per second, 10 s long",
+        none: 0,
+        step: 10,
+        count: 1000,
+        decimals: 3,
+        unit: "s",
+        set: |faults, length_s| (faults.outage_rate_per_s, faults.outage_length_s) = (1.0, length_s),
+    },
+    FaultKind {
+        name: "range",
+        limit: "1 m instead of 200 m",
+        none: 20_000,
+        step: -10,
+        count: 1990,
+        decimals: 2,
+        unit: "m",
+        set: |faults, range_m| faults.range_m = Some(range_m),
+    },
+    FaultKind {
+        name: "late detection",
+        limit: "10 s",
+        none: 0,
+        step: 10,
+        count: 1000,
+        decimals: 3,
+        unit: "s",
+        set: |faults, delay_s| faults.detection_delay_s = delay_s,
+    },
+    FaultKind { name: GHOST, limit: "2 s long", none: 0, step: 10, count: 200, decimals: 3, unit: "s", set: |_, _| {} },
 ];
+
+/// A size of a fault: so many steps of its kind, and parts of a step.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct FaultSize {
+    place: u32,
+    part: u32,
+}
 
 /// Failure that a fault causes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -88,13 +164,28 @@ pub struct MildestFault {
     pub faults: SensorFaults,
 }
 
-/// Mildest faults of one kind; `None` if none was found up to the limit.
+/// Sizes of a kind of fault that the search simulates until one causes a failure.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize)]
+pub struct SearchedSizes {
+    /// Number of sizes.
+    pub count: u32,
+    /// Size of the mildest fault.
+    pub smallest: f64,
+    /// Size at the limit.
+    pub largest: f64,
+    /// Unit of both.
+    pub unit: &'static str,
+}
+
+/// Mildest faults of one kind; `None` if no simulated size causes the failure, or it happens without a fault.
 #[derive(Debug, Clone, PartialEq, Serialize)]
 pub struct FaultKindResult {
     /// Name of the kind.
     pub kind: &'static str,
     /// Description of the limit.
     pub limit: &'static str,
+    /// Sizes that were searched.
+    pub sizes: SearchedSizes,
     /// Mildest fault with a collision.
     pub collision: Option<MildestFault>,
     /// Mildest fault with unnecessary braking.
@@ -134,17 +225,23 @@ impl SensorAttackResult {
     }
 }
 
-/// A kind of fault, and for ghosts the object.
-struct Candidate {
-    kind: usize,
-    ghost: Option<GhostObject>,
+/// The search for the mildest faults of one kind.
+struct KindSearch {
+    kind: &'static FaultKind,
+    /// Objects of a ghost; one `None` for every other kind.
+    ghosts: Vec<Option<GhostObject>>,
+    /// Smallest size, with its object, that causes each failure.
+    found: [Option<(FaultSize, usize)>; 2],
+    /// Number of sizes that were simulated.
+    done: u32,
 }
 
 struct FaultSearch<'a> {
     scenario: &'a Scenario,
     options: &'a RunOptions,
     observer: &'a dyn Observer<RunProgress>,
-    candidates: Vec<Candidate>,
+    /// True for each failure that happens without a fault, and is not searched.
+    skip: [bool; 2],
     evaluations: usize,
 }
 
@@ -157,100 +254,155 @@ pub fn attack_sensors(
     options: &RunOptions,
     observer: &dyn Observer<RunProgress>,
 ) -> Result<SensorAttackResult, AttackError> {
-    let candidates = list_candidates(scenario);
-    check_size(scenario, candidates.len() * 2 * (LIMIT / COARSE_STEP) as usize)?;
-    let mut search = FaultSearch { scenario, options, observer, candidates, evaluations: 0 };
+    let mut kinds: Vec<_> = KINDS.iter().map(|kind| KindSearch::new(kind, scenario)).collect();
+    check_size(scenario, count_simulations(&kinds))?;
+    let mut search = FaultSearch { scenario, options, observer, skip: [false; 2], evaluations: 0 };
     let [collides, brakes] = search.simulate(&[scenario.spec().sensors.faults.clone()])?[0];
-    let bounds = search.find_bounds([collides, brakes])?;
-    let kinds = KINDS.iter().enumerate().map(|(index, kind)| {
-        let [collision, unnecessary_braking] = [0, 1].map(|failure| {
-            let own = search.candidates.iter().zip(&bounds).filter(|(candidate, _)| candidate.kind == index);
-            let found = own.filter_map(|(candidate, bounds)| Some((candidate, bounds[failure]?[1])));
-            let (candidate, high) = found.min_by_key(|(_, high)| *high)?;
-            let faults = candidate.scale(&scenario.spec().sensors.faults, high);
-            let share = share_of_limit(high);
-            Some(MildestFault { kind: kind.name, share, amount: kind.amount(share), unit: kind.unit, faults })
-        });
-        FaultKindResult { kind: kind.name, limit: kind.limit, collision, unnecessary_braking }
-    });
+    search.skip = [collides, brakes];
+    while search.advance(&mut kinds)? {}
+    search.refine(&mut kinds)?;
     Ok(SensorAttackResult {
         collides_without_fault: collides,
         brakes_unnecessarily_without_fault: brakes,
-        kinds: kinds.collect(),
+        kinds: kinds.iter().map(|kind| kind.result(&scenario.spec().sensors.faults)).collect(),
         evaluations: search.evaluations,
     })
 }
 
-fn list_candidates(scenario: &Scenario) -> Vec<Candidate> {
-    let own_mps = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index));
-    let own_mps = own_mps.and_then(|index| scenario.vehicles().get(index)).map_or(0.0, |own| own.speed_mps);
-    let plain = (0..KINDS.len()).filter(|&kind| KINDS[kind].name != GHOST);
-    let mut candidates: Vec<_> = plain.map(|kind| Candidate { kind, ghost: None }).collect();
-    for onset in 0..GHOST_ONSETS {
-        let onset_s = scenario.spec().duration_s * f64::from(onset) / f64::from(GHOST_ONSETS);
-        for gap_m in GHOST_GAPS_M {
-            for speed_mps in [0.0, 0.5 * own_mps] {
-                let ghost = GhostObject { onset_s, duration_s: 0.0, gap_m, speed_mps };
-                candidates.push(Candidate { kind: KINDS.len() - 1, ghost: Some(ghost) });
-            }
-        }
+/// Returns the largest number of simulations of a [search](attack_sensors): all sizes of each kind, and all parts.
+#[must_use]
+pub fn max_sensor_simulations() -> u64 {
+    KINDS.iter().map(|kind| kind.max_simulations(kind.ghost_count())).sum::<u64>() + 1
+}
+
+fn count_simulations(kinds: &[KindSearch]) -> usize {
+    kinds.iter().map(|search| search.kind.max_simulations(search.ghosts.len())).sum::<u64>() as usize + 1
+}
+
+impl FaultKind {
+    fn ghost_count(&self) -> usize {
+        if self.name == GHOST { GHOST_ONSETS as usize * GHOST_GAPS_M.len() * GHOST_SPEEDS } else { 1 }
     }
-    candidates
+
+    fn max_simulations(&self, ghosts: usize) -> u64 {
+        (ghosts * (self.count as usize + 2 * (PARTS as usize - 1))) as u64
+    }
 }
 
-fn share_of_limit(thousandths: u32) -> f64 {
-    f64::from(thousandths) / f64::from(LIMIT)
-}
+impl KindSearch {
+    fn new(kind: &'static FaultKind, scenario: &Scenario) -> Self {
+        let ghosts = if kind.name == GHOST { ghosts(scenario).into_iter().map(Some).collect() } else { vec![None] };
+        Self { kind, ghosts, found: [None; 2], done: 0 }
+    }
 
-impl Candidate {
-    fn scale(&self, base: &SensorFaults, thousandths: u32) -> SensorFaults {
-        let kind = &KINDS[self.kind];
-        let (mut faults, amount) = (base.clone(), kind.amount(share_of_limit(thousandths)));
-        match self.ghost {
+    /// Returns the faults of the sensors with a size of this kind.
+    fn scale(&self, base: &SensorFaults, size: FaultSize, ghost: usize) -> SensorFaults {
+        let (mut faults, amount) = (base.clone(), self.kind.amount(size));
+        match self.ghosts[ghost] {
             Some(ghost) => faults.ghost = Some(GhostObject { duration_s: amount, ..ghost }),
-            None => (kind.set)(&mut faults, amount),
+            None => (self.kind.set)(&mut faults, amount),
         }
         faults
     }
-}
 
-/// Largest share that passes and smallest that fails, in thousandths, for each failure; `None` if none fails.
-type FailureBounds = [Option<[u32; 2]>; 2];
+    /// Returns the next sizes to simulate, each with every object; none once each failure is found or all are done.
+    fn next_round(&self, skip: [bool; 2]) -> Vec<(FaultSize, usize)> {
+        let is_open = (0..2).any(|failure| !skip[failure] && self.found[failure].is_none());
+        let last = if is_open { (self.done + ROUND).min(self.kind.count) } else { self.done };
+        let places = self.done + 1..=last;
+        places.flat_map(|place| self.with_ghosts(FaultSize { place, part: 0 })).collect()
+    }
 
-impl FaultSearch<'_> {
-    /// Finds the bounds of each candidate for the failures that do not happen without a fault.
-    fn find_bounds(&mut self, skip: [bool; 2]) -> Result<Vec<FailureBounds>, AttackError> {
-        let shares: Vec<u32> = (1..=LIMIT / COARSE_STEP).map(|step| step * COARSE_STEP).collect();
-        let base = &self.scenario.spec().sensors.faults;
-        let scaled = self.candidates.iter().flat_map(|one| shares.iter().map(|&share| one.scale(base, share)));
-        let failed = self.simulate(&scaled.collect::<Vec<_>>())?;
-        let first = |failed: &[[bool; 2]]| {
-            [0, 1].map(|failure| {
-                let place = failed.iter().position(|failed| failed[failure] && !skip[failure])?;
-                Some([shares[place] - COARSE_STEP, shares[place]])
-            })
-        };
-        let mut bounds: Vec<FailureBounds> = failed.chunks(shares.len()).map(first).collect();
-        loop {
-            let mut open: Vec<(usize, usize, u32)> = Vec::new();
-            for (candidate, bounds) in bounds.iter().enumerate() {
-                for (failure, bounds) in bounds.iter().enumerate() {
-                    if let Some([low, high]) = bounds.filter(|[low, high]| high - low > 1) {
-                        open.push((candidate, failure, low.midpoint(high)));
-                    }
-                }
-            }
-            if open.is_empty() {
-                return Ok(bounds);
-            }
-            let scaled = open.iter().map(|&(candidate, _, share)| self.candidates[candidate].scale(base, share));
-            let failed = self.simulate(&scaled.collect::<Vec<_>>())?;
-            for ((candidate, failure, share), failed) in open.into_iter().zip(failed) {
-                if let Some(bounds) = &mut bounds[candidate][failure] {
-                    bounds[usize::from(failed[failure])] = share;
-                }
+    /// Returns the sizes between each smallest size that fails and the one before.
+    fn parts(&self) -> Vec<(FaultSize, usize)> {
+        let mut places: Vec<u32> = self.found.iter().flatten().map(|(size, _)| size.place - 1).collect();
+        places.dedup();
+        let parts = places.into_iter().flat_map(|place| (1..PARTS).map(move |part| FaultSize { place, part }));
+        parts.flat_map(|size| self.with_ghosts(size)).collect()
+    }
+
+    fn with_ghosts(&self, size: FaultSize) -> impl Iterator<Item = (FaultSize, usize)> + use<> {
+        (0..self.ghosts.len()).map(move |ghost| (size, ghost))
+    }
+
+    /// Records the failures of a simulated size.
+    fn record(&mut self, size: FaultSize, ghost: usize, failed: [bool; 2], skip: [bool; 2]) {
+        for failure in (0..2).filter(|&failure| failed[failure] && !skip[failure]) {
+            let smallest = &mut self.found[failure];
+            if smallest.is_none_or(|(known, _)| size < known) {
+                *smallest = Some((size, ghost));
             }
         }
+    }
+
+    fn result(&self, base: &SensorFaults) -> FaultKindResult {
+        let kind = self.kind;
+        let [collision, unnecessary_braking] = self.found.map(|found| {
+            let (size, ghost) = found?;
+            let faults = self.scale(base, size, ghost);
+            let (share, amount) = (kind.share(size), kind.amount(size));
+            Some(MildestFault { kind: kind.name, share, amount, unit: kind.unit, faults })
+        });
+        let (name, limit, sizes) = (kind.name, kind.limit, kind.searched_sizes());
+        FaultKindResult { kind: name, limit, sizes, collision, unnecessary_braking }
+    }
+}
+
+/// Returns objects at some times and gaps, standing or at half the speed of the vehicle under test.
+fn ghosts(scenario: &Scenario) -> Vec<GhostObject> {
+    let own_mps = (0..scenario.vehicles().len()).find(|&index| scenario.is_under_test(index));
+    let own_mps = own_mps.and_then(|index| scenario.vehicles().get(index)).map_or(0.0, |own| own.speed_mps);
+    let mut ghosts = Vec::new();
+    for onset in 0..GHOST_ONSETS {
+        let onset_s = scenario.spec().duration_s * f64::from(onset) / f64::from(GHOST_ONSETS);
+        for gap_m in GHOST_GAPS_M {
+            for speed_mps in [0.0, 0.5 * own_mps] as [f64; GHOST_SPEEDS] {
+                ghosts.push(GhostObject { onset_s, duration_s: 0.0, gap_m, speed_mps });
+            }
+        }
+    }
+    ghosts
+}
+
+impl FaultSearch<'_> {
+    /// Simulates the next sizes of all kinds. Returns false if there are none.
+    fn advance(&mut self, kinds: &mut [KindSearch]) -> Result<bool, AttackError> {
+        let rounds: Vec<_> = kinds.iter().map(|kind| kind.next_round(self.skip)).collect();
+        self.simulate_all(kinds, &rounds)?;
+        for (kind, round) in kinds.iter_mut().zip(&rounds) {
+            kind.done = round.last().map_or(kind.done, |(size, _)| size.place);
+        }
+        Ok(rounds.iter().any(|round| !round.is_empty()))
+    }
+
+    /// Simulates the parts of the step to each smallest size that fails.
+    fn refine(&mut self, kinds: &mut [KindSearch]) -> Result<(), AttackError> {
+        let rounds: Vec<_> = kinds.iter().map(KindSearch::parts).collect();
+        self.simulate_all(kinds, &rounds)
+    }
+
+    /// Simulates sizes of each kind, and records which failures happen.
+    fn simulate_all(
+        &mut self,
+        kinds: &mut [KindSearch],
+        rounds: &[Vec<(FaultSize, usize)>],
+    ) -> Result<(), AttackError> {
+        let base = &self.scenario.spec().sensors.faults;
+        let pairs = kinds.iter().zip(rounds);
+        let scaled = pairs.flat_map(|(kind, round)| round.iter().map(|&(size, ghost)| kind.scale(base, size, ghost)));
+        let scaled: Vec<_> = scaled.collect();
+        let mut failed = Vec::with_capacity(scaled.len());
+        // The runs of a batch are in memory together.
+        for batch in scaled.chunks(MAX_BATCH) {
+            failed.extend(self.simulate(batch)?);
+        }
+        let mut failed = failed.into_iter();
+        for (kind, round) in kinds.iter_mut().zip(rounds) {
+            for (&(size, ghost), failed) in round.iter().zip(failed.by_ref()) {
+                kind.record(size, ghost, failed, self.skip);
+            }
+        }
+        Ok(())
     }
 
     /// Simulates the scenario with each set of faults. Returns which failures happen.

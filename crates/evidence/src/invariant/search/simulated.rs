@@ -1,6 +1,7 @@
 //! Upper bound of an invariant set: gaps from which a simulated leader defeats the controller.
 
 use super::{BoundarySearch, advance};
+use crate::invariant::InvariantStage;
 use crumple_verify::invariant::MotionModel;
 use crumple_verify::invariant::table::{AXIS_COUNT, HeightTable};
 
@@ -12,9 +13,18 @@ const MAX_SIMULATED_STEPS: u32 = 3000;
 
 impl BoundarySearch<'_> {
     /// Raises each node to the largest gap, by bisection, from which a leader defeats the controller in a simulation.
-    pub(in crate::invariant) fn raise_to_simulation(&mut self, table: &mut HeightTable) {
+    /// `observe` receives the completed nodes and all nodes. Returns false if `observe` did.
+    pub(in crate::invariant) fn raise_to_simulation(
+        &mut self,
+        table: &mut HeightTable,
+        observe: &mut dyn FnMut(InvariantStage, [usize; 2]) -> bool,
+    ) -> bool {
         let axes = *table.axes();
-        for node in table.nodes() {
+        let nodes: Vec<_> = table.nodes().collect();
+        for (index, &node) in nodes.iter().enumerate() {
+            if node[1] == 0 && !observe(InvariantStage::Simulate, [index, nodes.len()]) {
+                return false;
+            }
             let state: [f64; AXIS_COUNT] = std::array::from_fn(|axis| axes[axis].node(node[axis]));
             let [mut low_m, mut high_m] = [table.node_height(node), self.highest_m];
             while high_m - low_m > SIMULATED_WIDTH_M {
@@ -27,6 +37,7 @@ impl BoundarySearch<'_> {
             }
             table.raise(node, low_m);
         }
+        true
     }
 
     /// Simulates a leader that accelerates for a while and then brakes, as hard as it may.

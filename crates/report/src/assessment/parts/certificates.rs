@@ -5,7 +5,7 @@ use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
 use super::certificate_subject::{certificate_subject, describe_statement, includes_others};
-use super::rate_certificates::planned_rate_counts;
+use super::rate_certificates::{planned_rate_counts, recount_controllers};
 use crate::assessment::claims::{
     AssuranceClaim, Domain, Evidence, EvidenceSource, MIN_CONFIDENCE_PERCENT, Property, Strength, Subject,
 };
@@ -29,9 +29,9 @@ pub struct CheckedCertificate {
     pub statement: &'static str,
     /// Description of the certificate's content.
     pub about: String,
-    /// Path relative to the report folder.
-    pub file: String,
-    /// SHA-256 of that file.
+    /// Path relative to the report folder; absent if the checker did not accept the certificate, which is not written.
+    pub file: Option<String>,
+    /// SHA-256 of the certificate.
     pub sha256: String,
     /// Claim of this report that the certificate supports.
     #[serde(rename = "speaks_of")]
@@ -43,6 +43,9 @@ pub struct CheckedCertificate {
     pub assumptions: Vec<Assumption>,
     #[serde(skip)]
     pub(in crate::assessment) text: String,
+    /// Controllers that `check --rerun` needs as arguments; `None` if it cannot repeat counts of the certificate.
+    #[serde(skip)]
+    pub(super) recount_controllers: Option<Vec<String>>,
     /// Statement, if it is about a kernel.
     #[serde(skip)]
     kernel: Option<Statement>,
@@ -212,7 +215,8 @@ impl CheckedCertificate {
     }
 
     pub(super) fn source(&self) -> EvidenceSource {
-        let (file, sha256) = (Some(self.file.clone()), Some(self.sha256.clone()));
+        let file = self.file.clone();
+        let sha256 = file.as_ref().map(|_| self.sha256.clone());
         EvidenceSource { part: "proofs".to_owned(), what: format!("certificate `{}`", self.name), file, sha256 }
     }
 }
@@ -248,14 +252,17 @@ pub(super) fn check_certificate(
 ) -> Result<CheckedCertificate, AssessError> {
     let text = serde_json::to_string_pretty(certificate).map_err(CacheError::encoding)? + "\n";
     let counts_others = includes_others(plan, &certificate.statement);
+    // Checked in every run, never cached: checking is cheap, and cached results could have been edited.
+    let status = CertificateStatus::check(certificate, policy, counts_others);
+    let is_accepted = matches!(status, CertificateStatus::Accepted { .. });
     Ok(CheckedCertificate {
         statement: certificate.statement.name(),
         about: describe_statement(plan, &name, certificate, policy),
-        file: format!("certificates/{name}.json"),
+        file: is_accepted.then(|| format!("certificates/{name}.json")),
         sha256: sha256(&text),
         subject: certificate_subject(plan, &name, certificate, policy),
-        // Checked in every run, never cached: checking is cheap, and cached results could have been edited.
-        status: CertificateStatus::check(certificate, policy, counts_others),
+        recount_controllers: is_accepted.then(|| recount_controllers(plan, certificate)).flatten(),
+        status,
         assumptions: certificate.assumptions.clone(),
         rate: match &certificate.statement {
             Statement::Rate(rate) if !counts_others => Some(rate.clone()),

@@ -1,18 +1,19 @@
 //! The comparison with an earlier assessment: better, worse, new and missing results.
 
-use std::collections::BTreeMap;
+mod fact;
+mod order;
+
+use std::cmp::Ordering;
 use std::path::Path;
 
 use serde::Serialize;
-use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use crate::assessment::claims::{AssuranceClaim, Strength};
+use self::fact::{Facts, read, read_facts};
 use crate::assessment::document::ReportDocument;
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessmentReport, CertificateStatus, EVIDENCE_VERSION, ReportPart};
+use crate::assessment::{AssessmentReport, EVIDENCE_VERSION, ReportPart};
 use crumple_core::digest::sha256;
-use crumple_search::falsify::counterexample::AvoidabilityClass;
 use crumple_world::scenario::file::{self, FileError};
 
 /// The changes since an earlier assessment.
@@ -27,6 +28,8 @@ pub struct AssessmentComparison {
     pub better: Vec<AssessmentChange>,
     /// Worse results.
     pub worse: Vec<AssessmentChange>,
+    /// Changed results of which neither is better: failures that became unavoidable, and unlike quantities.
+    pub changed: Vec<AssessmentChange>,
     /// Results that the earlier assessment lacks.
     pub new: Vec<AssessmentChange>,
     /// Results that this assessment lacks.
@@ -56,108 +59,6 @@ pub struct EarlierAssessment {
     sha256: String,
     config_sha256: String,
     facts: Facts,
-}
-
-/// The results by name and domain hash. The hash separates results of spaces that have the same name.
-type Facts = BTreeMap<(String, String), Fact>;
-
-#[derive(Debug, Clone)]
-struct Fact {
-    score: f64,
-    description: String,
-    /// True for a counterexample or a refuted claim: its presence is a failure.
-    is_failure: bool,
-}
-
-/// Reads a field, whose path has slashes. The error names the field.
-fn read<T: DeserializeOwned>(value: &Value, field: &str) -> Result<T, String> {
-    let found = value.pointer(&format!("/{field}")).unwrap_or(&Value::Null);
-    T::deserialize(found).map_err(|error| format!("{field}: {error}"))
-}
-
-fn read_facts(evidence: &Value) -> Result<Facts, String> {
-    let mut facts = Facts::new();
-    let mut add = |what: String, domain: String, score: f64, description: String, is_failure: bool| {
-        facts.insert((what, domain), Fact { score, description, is_failure });
-    };
-    let controllers: Vec<String> = read(evidence, "summary/controllers")?;
-    for row in read::<Vec<Value>>(evidence, "summary/claims")? {
-        let words: String = read(&row, "claim")?;
-        let claims: Vec<Option<AssuranceClaim>> = read(&row, "claims")?;
-        let strengths: Vec<Strength> = read(&row, "standings")?;
-        if [claims.len(), strengths.len()] != [controllers.len(); 2] {
-            return Err(format!("summary/claims: `{words}` needs one entry per controller"));
-        }
-        for ((controller, claim), strength) in controllers.iter().zip(claims).zip(&strengths) {
-            // An untried claim is absent: neither better nor worse.
-            if *strength != Strength::Untried {
-                let domain = claim.map_or_else(String::new, |claim| sha256(format!("{:?}", claim.domain)));
-                let what = format!("{controller}: {words}");
-                add(what, domain, score(strength), strength.describe(), strength.is_refutation());
-            }
-        }
-    }
-    for part in ["paper_scenarios/scenarios", "traffic/scenarios"] {
-        for scenario in read::<Option<Vec<Value>>>(evidence, part)?.unwrap_or_default() {
-            let name: String = read(&scenario, "scenario")?;
-            for case in read::<Vec<Value>>(&scenario, "cases")? {
-                let controller: String = read(&case, "controller")?;
-                if let Some(gap_m) = read::<Option<f64>>(&case, "min_gap_m")? {
-                    let what = format!("{controller}: smallest gap in {name}");
-                    add(what, String::new(), gap_m, format!("{gap_m:.2} m"), false);
-                }
-            }
-        }
-    }
-    for space in read::<Vec<Value>>(evidence, "searches/spaces")? {
-        let name: String = read(&space, "name")?;
-        for search in read::<Vec<Value>>(&space, "controllers")? {
-            let controller: String = read(&search, "controller")?;
-            for failure in read::<Vec<Value>>(&search, "failures")? {
-                let class = match read(&failure, "class")? {
-                    AvoidabilityClass::Avoidable => "avoidable",
-                    AvoidabilityClass::Unavoidable => "unavoidable",
-                    AvoidabilityClass::Undecided | AvoidabilityClass::NotAsked => "not classified",
-                };
-                let kind: String = read(&failure, "kind")?;
-                let what = format!("{controller}: failure in `{name}`: {kind}, {class}");
-                add(what, String::new(), 0.0, "found".to_owned(), true);
-            }
-        }
-    }
-    for proof in read::<Vec<Value>>(evidence, "proofs/certificates")? {
-        let status: CertificateStatus = read(&proof, "status")?;
-        let score = f64::from(matches!(status, CertificateStatus::Accepted { .. }));
-        let text = |field: &str| read::<String>(&proof, field);
-        // A changed certificate of the same name is another result.
-        let what = format!("certificate {}: {}, {}", text("name")?, text("statement")?, text("about")?);
-        add(what, String::new(), score, status.describe(), false);
-    }
-    Ok(facts)
-}
-
-/// Returns the score of a strength, larger is better: by rank, then by the strength's number.
-fn score(strength: &Strength) -> f64 {
-    let within = match strength {
-        Strength::Proved { .. } | Strength::Untried => 0.0,
-        Strength::Tested { runs } => (*runs as f64).ln_1p(),
-        Strength::PartlyProved { share_percent } => share_percent.value(),
-        Strength::Bounded { upper_percent, .. } | Strength::Undecided { upper_percent, .. } => -upper_percent.value(),
-        Strength::Exceeded { lower_percent, .. } => -lower_percent.value(),
-        Strength::Refuted { failures, runs } => -100.0 * *failures as f64 / (*runs).max(1) as f64,
-        Strength::Unanswered { unanswered, failures, runs, .. } => {
-            -100.0 * (unanswered + failures) as f64 / (*runs).max(1) as f64
-        }
-        Strength::OtherUnanswered { .. } => 0.0,
-        Strength::Falsified { failures, avoidable, .. } => -(0.001 * *failures as f64) - *avoidable as f64,
-        Strength::Between { upper_percent, .. } => -upper_percent.value(),
-        Strength::Counted { confidence_percent, .. } => confidence_percent.value(),
-        Strength::NotShownByCounting { .. } => 0.0,
-        Strength::Compared { own, other, runs } => (*other as f64 - *own as f64) / (*runs).max(1) as f64,
-        Strength::Gain { largest, .. } => -largest.value(),
-        Strength::Contradicted => 0.0,
-    };
-    1000.0 * f64::from(strength.rank()) + within
 }
 
 /// Maximum size of the evidence of an earlier assessment, in bytes; the built-in one takes less than one fiftieth.
@@ -198,7 +99,8 @@ impl AssessmentComparison {
     }
 
     fn from_facts(earlier: &EarlierAssessment, facts: &Facts) -> Self {
-        let (mut better, mut worse, mut new, mut unchanged) = (Vec::new(), Vec::new(), Vec::new(), 0);
+        let (mut better, mut worse, mut changed, mut new) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
+        let mut unchanged = 0;
         for (key @ (what, _), fact) in facts {
             let before = earlier.facts.get(key);
             let change = AssessmentChange {
@@ -207,11 +109,15 @@ impl AssessmentComparison {
                 now: Some(fact.description.clone()),
                 is_failure: fact.is_failure,
             };
-            match before.map(|before| fact.score.total_cmp(&before.score)) {
-                None => new.push(change),
-                Some(std::cmp::Ordering::Greater) => better.push(change),
-                Some(std::cmp::Ordering::Less) => worse.push(change),
-                Some(std::cmp::Ordering::Equal) => unchanged += 1,
+            let Some(before) = before else {
+                new.push(change);
+                continue;
+            };
+            match fact.measure.compare(&before.measure) {
+                Some(Ordering::Greater) => better.push(change),
+                Some(Ordering::Less) => worse.push(change),
+                None if before.description != fact.description => changed.push(change),
+                Some(Ordering::Equal) | None => unchanged += 1,
             }
         }
         let gone = earlier.facts.iter().filter(|(key, _)| !facts.contains_key(*key));
@@ -226,6 +132,7 @@ impl AssessmentComparison {
             same_configuration: true,
             better,
             worse,
+            changed,
             new,
             gone: gone.collect(),
             unchanged,
@@ -236,14 +143,24 @@ impl AssessmentComparison {
     #[must_use]
     pub fn describe(&self) -> String {
         format!(
-            "Compared with the earlier assessment{}: {} better, {} worse, {} new, {} gone, {} unchanged.",
+            "Compared with the earlier assessment{}: {} better, {} worse, {} new, {} gone, {} changed without being \
+             better or worse, {} unchanged.",
             if self.same_configuration { "" } else { ", which has another configuration" },
             self.better.len(),
             self.worse.len(),
             self.new.len(),
             self.gone.len(),
+            self.changed.len(),
             self.unchanged
         )
+    }
+
+    /// Returns the number of results of which neither is better, as an addition to a sentence; empty if there are none.
+    pub(in crate::assessment) fn describe_changed(&self) -> String {
+        match self.changed.len() {
+            0 => String::new(),
+            count => format!("; {count} changed, and neither result is better"),
+        }
     }
 
     fn table(&self) -> ReportTable {
@@ -252,6 +169,7 @@ impl AssessmentComparison {
         for (kind, changes, judged) in [
             ("worse", &self.worse, Some(false)),
             ("better", &self.better, Some(true)),
+            ("changed", &self.changed, None),
             ("new", &self.new, None),
             ("gone", &self.gone, None),
         ] {
@@ -265,11 +183,11 @@ impl AssessmentComparison {
     }
 
     pub(in crate::assessment) fn has_no_overlap(&self) -> bool {
-        self.better.len() + self.worse.len() + self.unchanged == 0
+        self.better.len() + self.worse.len() + self.changed.len() + self.unchanged == 0
     }
 
     fn is_empty(&self) -> bool {
-        self.better.len() + self.worse.len() + self.new.len() + self.gone.len() == 0
+        self.better.len() + self.worse.len() + self.changed.len() + self.new.len() + self.gone.len() == 0
     }
 }
 

@@ -97,7 +97,7 @@ pub struct DistinctFailure {
     pub file: String,
     /// SHA-256 of that file.
     pub sha256: String,
-    /// Command that simulates the failure; absent for an external controller.
+    /// Command that simulates the failure; absent for an external controller and for one that gave no answer.
     pub replay: Option<CrumpleCommand>,
     /// Kind of failure.
     pub kind: String,
@@ -150,7 +150,8 @@ impl DistinctFailure {
         Self {
             escape: escape.map(|text| EscapeFile::new(&file, text, found.escape_survives_multi_body)),
             sha256: sha256(&text),
-            replay: replay(&file),
+            // The command expects a collision, and a controller without an answer causes none.
+            replay: if found.because.is_none() { replay(&file) } else { None },
             file,
             kind: found.kind.clone(),
             reason: found.because.clone(),

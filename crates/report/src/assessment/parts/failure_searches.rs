@@ -164,8 +164,9 @@ const INTRODUCTION: &str = "A search looks for collisions; uniform points and a 
     brake pressure and an anti-lock braking system, with the exact 95 % interval of independent samples.";
 
 const COMMANDS_NOTE: &str = "Run commands in the folder of this report. `replay.sh` checks the files and runs all \
-    commands that show \
-    failures or escapes; the escape of `NAME.toml` is `NAME-escape.toml`. Processes and FMUs have no commands here.";
+    commands that show failures or escapes; the escape of `NAME.toml` is `NAME-escape.toml`. The folder \
+    `controllers` has copies of policies, networks, processes and FMUs. A process has none, and no commands, if it \
+    lists no `files`, or if its program is in its own folder.";
 
 impl SpaceSearches {
     /// Writes the severest failures of all controllers into one table; HTML has a table for each controller.

@@ -7,10 +7,12 @@ use serde::Serialize;
 use super::ScenarioCases;
 use super::certificates::{self, CertificateStatus, CertificateSubject, CheckedCertificate};
 use crate::assessment::claims::{AssuranceClaim, Domain, Evidence, Strength};
+use crate::assessment::commands::CHECK_ARGUMENTS;
 use crate::assessment::document::ReportDocument;
 use crate::assessment::gather_context::GatherContext;
+use crate::assessment::markdown::Inline;
 use crate::assessment::table::{ReportCell, ReportTable};
-use crate::assessment::{AssessError, AssessmentPlan, ReportPart, Rounded};
+use crate::assessment::{AssessError, AssessmentPlan, CrumpleCommand, ReportPart, Rounded};
 
 /// Certificates, each checked in this run.
 #[derive(Debug, Clone, Serialize)]
@@ -68,9 +70,26 @@ impl Proofs {
                     _ => ReportCell::with_verdict(proof.status.describe(), proof.is_accepted()),
                 }),
                 ("controller", &|proof| ReportCell::text(proof.subject.describe())),
-                ("SHA-256", &|proof| ReportCell::digest(&proof.sha256)),
+                ("SHA-256", &|proof| match proof.file {
+                    Some(_) => ReportCell::digest(&proof.sha256),
+                    None => ReportCell::text("– (not written)"),
+                }),
             ],
         )
+    }
+
+    /// Returns the command that repeats the counts in the report folder; `None` if there are none that it can repeat.
+    pub(in crate::assessment) fn recount_command(&self) -> Option<CrumpleCommand> {
+        let counted =
+            self.certificates.iter().filter_map(|proof| proof.recount_controllers.as_ref().zip(proof.file.clone()));
+        let (controllers, files): (Vec<_>, Vec<_>) = counted.unzip();
+        let mut arguments: Vec<String> = Vec::new();
+        for controller in controllers.into_iter().flatten() {
+            if !arguments.contains(controller) {
+                arguments.extend(["--controller".to_owned(), controller.clone()]);
+            }
+        }
+        (!files.is_empty()).then(|| CrumpleCommand::new(["check", "--rerun"]).with_args(arguments).with_args(files))
     }
 
     /// Returns the joint confidence level of all bounds, if there are several (Bonferroni: `1 - sum of (1 - c_i)`).
@@ -110,20 +129,23 @@ impl Proofs {
     }
 }
 
-const INTRODUCTION: &str = "The checker accepted each certificate in this run; it uses no code of the simulator, the \
-    search or the solver. A kernel certificate is about the safety kernel of a shield. A rate bounds the failure \
-    rate by counts of runs that were registered before the first one, and a comparison shows which of two \
-    controllers fails less often; `--rerun` repeats the counts. Reach is about all initial states of a box. A gap \
-    bound is about every driver of a scenario. No proof covers the vehicle behind a shielded one, or usefulness. On \
-    a road with another friction the gaps of a kernel scale by its inverse.";
-
-const RECHECK: &str = "Repeat the check in the folder of this report: `crumple check --rerun certificates/*.json`";
+const INTRODUCTION: &str = "The checker read each certificate in this run; it uses no code of the simulator, the \
+    search or the solver. The folder `certificates` has those that it accepted. A kernel certificate is about the \
+    safety kernel of a shield. A rate bounds the failure rate by counts of runs that were registered before the \
+    first one, and a comparison shows which of two controllers fails less often; `--rerun` repeats the counts. Reach \
+    is about all initial states of a box. A gap bound is about every driver of a scenario. No proof covers the \
+    vehicle behind a shielded one, or usefulness. On a road with another friction the gaps of a kernel scale by its \
+    inverse.";
 
 impl ReportPart for Proofs {
     fn write(&self, out: &mut ReportDocument) {
         out.paragraph(INTRODUCTION);
         out.table(&self.table());
-        out.paragraph(RECHECK);
+        out.paragraph(&format!("Repeat the checks in the folder of this report: `crumple {CHECK_ARGUMENTS}`"));
+        if let Some(command) = self.recount_command() {
+            out.push_html(html! { p { "Repeat the counts: " code { (command) } } });
+            out.markdown_mut().paragraph(Inline::prose("Repeat the counts: ").and_code(command));
+        }
         out.push_html(html! { h3 { "Assumptions of the proofs" } });
         out.list(&self.assumptions());
     }

@@ -5,10 +5,11 @@ use crumple_verify::{Certificate, Registration, Statement};
 use super::certificate_subject::includes_others;
 use super::certificates::{CertificateStatus, CheckedCertificate, check_certificate, rate_strength};
 use crate::assessment::claims::Strength;
+use crate::assessment::commands::controller_arg;
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::{NamedSpace, file_stem};
 use crate::assessment::{AssessError, AssessmentPlan, CacheError, Rounded};
-use crumple_evidence::{RateConfig, RatePlan, shipped_kernels};
+use crumple_evidence::{RateConfig, RatePlan, Rerun, shipped_kernels};
 use crumple_world::sim::NamedController;
 
 /// Mask of the seed of counted runs, so that it differs from the seed of the reported samples.
@@ -89,6 +90,26 @@ impl PlannedRateCount<'_> {
         }
         Ok(proof)
     }
+}
+
+/// Returns the controllers, as arguments in the report folder, with which `check --rerun` repeats the counts of a
+/// certificate; `None` if it has no counts, or the folder lacks a controller.
+pub(super) fn recount_controllers(plan: &AssessmentPlan, certificate: &Certificate) -> Option<Vec<String>> {
+    let registration = match &certificate.statement {
+        Statement::Rate(claim) => &claim.registration,
+        Statement::Comparison(claim) => &claim.registration,
+        _ => return None,
+    };
+    if Rerun::new(certificate, &[]).is_ok() {
+        return Some(Vec::new());
+    }
+    Rerun::new(certificate, &plan.controllers).ok()?;
+    let identities = ["controller_sha256", "against_sha256"].map(|key| registration.configuration.get(key));
+    let argument = |identity: &String| {
+        let is_it = |one: &&NamedController| one.kind.identity().as_ref() == Some(identity);
+        controller_arg(&plan.controllers.iter().find(is_it)?.kind)
+    };
+    identities.into_iter().flatten().map(argument).collect()
 }
 
 /// Returns the status of a count that does not show its claim: no proof, and no sign of tampering.

@@ -3,6 +3,7 @@
 mod driver;
 mod fmu;
 mod permission;
+mod portable;
 
 use std::fmt;
 use std::io::{self, Read as _};
@@ -116,6 +117,8 @@ impl ProcessSetup {
 struct ListedFile {
     path: String,
     sha256: String,
+    #[serde(skip)]
+    bytes: u64,
 }
 
 /// A controller that is a process.
@@ -180,7 +183,7 @@ impl ProcessController {
         // `answer = 0` and no `answer` are equivalent; normalised so that both have the same identity hash.
         setup.mapping.output.answer = Some(0);
         let digest = |(index, path): (usize, &String)| match file_sha256(&setup.folder.join(path)) {
-            Ok(sha256) => Ok(ListedFile { path: path.clone(), sha256 }),
+            Ok((sha256, bytes)) => Ok(ListedFile { path: path.clone(), sha256, bytes }),
             Err(error) => Err(InvalidMapping::new(format!("files[{index}]"), format!("{path}: {error}"))),
         };
         let files = setup.files.iter().enumerate().map(digest).collect::<Result<Vec<_>, _>>()?;
@@ -299,7 +302,7 @@ impl ProcessController {
             state.starts += 1;
         }
         let changed = |file: &&ListedFile| {
-            !file_sha256(&self.setup.folder.join(&file.path)).is_ok_and(|sha256| sha256 == file.sha256)
+            !file_sha256(&self.setup.folder.join(&file.path)).is_ok_and(|(sha256, _)| sha256 == file.sha256)
         };
         if let Some(ListedFile { path, .. }) = self.files.iter().find(changed) {
             return Err(
@@ -428,7 +431,8 @@ impl Drop for ProcessController {
     }
 }
 
-fn file_sha256(path: &Path) -> io::Result<String> {
+/// Returns the SHA-256 of a regular file in hexadecimal, and its size in bytes.
+fn file_sha256(path: &Path) -> io::Result<(String, u64)> {
     let refused = |problem: &str| io::Error::new(io::ErrorKind::InvalidData, problem.to_owned());
     let mut file = regular_file::open(path)?.take(MAX_FILE_BYTES + 1);
     let (mut digest, mut chunk, mut length) = (Sha256::default(), vec![0; 1 << 16], 0);
@@ -440,7 +444,7 @@ fn file_sha256(path: &Path) -> io::Result<String> {
         }
         match chunk.get(..read) {
             Some(new @ [_, ..]) => digest.update(new),
-            _ => return Ok(digest.hexadecimal()),
+            _ => return Ok((digest.hexadecimal(), length)),
         }
     }
 }

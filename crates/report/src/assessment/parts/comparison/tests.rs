@@ -1,34 +1,121 @@
-use super::*;
+use std::cmp::Ordering::{Equal, Greater, Less};
 
-fn earlier(facts: &[(&str, f64)]) -> EarlierAssessment {
+use super::fact::{Fact, Measure};
+use super::order::compare_strengths;
+use super::*;
+use crate::assessment::Rounded;
+use crate::assessment::claims::Strength;
+
+fn earlier(facts: &[(&str, Strength)]) -> EarlierAssessment {
     EarlierAssessment { sha256: String::new(), config_sha256: String::new(), facts: facts_of(facts) }
 }
 
-fn facts_of(facts: &[(&str, f64)]) -> Facts {
-    let fact = |score: f64| Fact { score, description: score.to_string(), is_failure: false };
-    facts.iter().map(|(what, score)| (((*what).to_owned(), String::new()), fact(*score))).collect()
+fn facts_of(facts: &[(&str, Strength)]) -> Facts {
+    let fact = |strength: &Strength| Fact {
+        description: strength.describe(),
+        is_failure: strength.is_refutation(),
+        measure: Measure::Claim(strength.clone(), None),
+    };
+    facts.iter().map(|(what, strength)| (((*what).to_owned(), String::new()), fact(strength))).collect()
+}
+
+fn tested(runs: u64) -> Strength {
+    Strength::Tested { runs }
+}
+
+fn found(failures: usize, avoidable: usize) -> Strength {
+    Strength::Falsified { failures, avoidable, reason: None }
+}
+
+fn refuted(failures: u64, runs: u64) -> Strength {
+    Strength::Refuted { failures, runs }
 }
 
 #[test]
 fn everything_falls_into_one_place() {
-    let before = earlier(&[("a", 1.0), ("b", 1.0), ("c", 1.0), ("d", 1.0)]);
-    let found = AssessmentComparison::from_facts(&before, &facts_of(&[("a", 2.0), ("b", 0.0), ("c", 1.0), ("e", 1.0)]));
+    let before = earlier(&[
+        ("a", tested(1)),
+        ("b", tested(2)),
+        ("c", tested(1)),
+        ("d", tested(1)),
+        ("f", found(10, 10)),
+        ("g", found(10, 10)),
+    ]);
+    let now = facts_of(&[
+        ("a", tested(2)),
+        ("b", tested(1)),
+        ("c", tested(1)),
+        ("e", tested(1)),
+        ("f", found(11, 9)),
+        ("g", found(10, 9)),
+    ]);
+    let found = AssessmentComparison::from_facts(&before, &now);
     let names =
         |changes: &[AssessmentChange]| changes.iter().map(|change| change.description.clone()).collect::<String>();
-    let all = [&found.better, &found.worse, &found.new, &found.gone].map(|changes| names(changes));
-    assert_eq!((all, found.unchanged), (["a", "b", "e", "d"].map(str::to_owned), 1));
+    let all = [&found.better, &found.worse, &found.changed, &found.new, &found.gone].map(|changes| names(changes));
+    assert_eq!((all, found.unchanged), (["a", "bf", "g", "e", "d"].map(str::to_owned), 1));
+    assert!(
+        found
+            .describe()
+            .ends_with("1 better, 2 worse, 1 new, 1 gone, 1 changed without being better or worse, 1 unchanged.")
+    );
+    assert_eq!(found.describe_changed(), "; 1 changed, and neither result is better");
 }
 
+/// Greater is better. Each pair is compared in both directions.
 #[test]
-fn stronger_support_scores_higher() {
-    let in_order = [
-        Strength::Refuted { failures: 9, runs: 10 },
-        Strength::Refuted { failures: 1, runs: 10 },
-        Strength::Tested { runs: 3 },
-        Strength::Tested { runs: 30 },
-        Strength::Proved { certificates: 1 },
+fn more_failures_are_worse_and_unlike_quantities_are_not_compared() {
+    let compared = |own, other| Strength::Compared { own, other, runs: 100 };
+    let unanswered = |unanswered, failures| Strength::Unanswered {
+        unanswered,
+        failures,
+        runs: 100,
+        reason: String::new(),
+        refutes: true,
+    };
+    let bounded = |upper: f64, confidence: f64| Strength::Bounded {
+        upper_percent: Rounded::new(upper),
+        confidence_percent: Rounded::new(confidence),
+    };
+    let undecided = |lower: f64, upper: f64| Strength::Undecided {
+        lower_percent: Rounded::new(lower),
+        upper_percent: Rounded::new(upper),
+        confidence_percent: Rounded::new(99.9),
+    };
+    let proved = Strength::Proved { certificates: 1 };
+    let cases = [
+        (found(10, 10), found(11, 9), Some(Less), None),
+        (found(10, 5), found(11, 0), Some(Less), None),
+        (found(10, 10), found(10, 9), None, Some(Less)),
+        (found(10, 10), found(9, 9), Some(Greater), Some(Less)),
+        (found(3, 1), found(3, 1), Some(Equal), Some(Equal)),
+        (found(1, 1), tested(400), Some(Greater), Some(Less)),
+        (found(10, 0), refuted(9, 200), None, None),
+        (refuted(9, 200), refuted(10, 200), Some(Less), Some(Greater)),
+        (refuted(9, 200), refuted(8, 199), Some(Greater), Some(Less)),
+        (refuted(9, 200), refuted(8, 100), None, Some(Less)),
+        (refuted(9, 100), unanswered(4, 6), Some(Less), Some(Greater)),
+        (refuted(9, 10), refuted(1, 10), Some(Greater), Some(Less)),
+        (refuted(1, 10), tested(3), Some(Greater), Some(Less)),
+        (tested(3), tested(30), Some(Greater), Some(Less)),
+        (tested(30), proved, Some(Greater), Some(Less)),
+        (tested(30), bounded(0.2, 99.9), None, None),
+        (bounded(0.2, 99.9), bounded(0.1, 99.9), Some(Greater), Some(Less)),
+        (bounded(0.2, 99.9), bounded(0.1, 95.0), None, None),
+        (undecided(0.5, 2.0), undecided(0.6, 1.8), None, None),
+        (undecided(0.5, 2.0), undecided(0.4, 1.8), Some(Greater), Some(Less)),
+        (undecided(0.5, 2.0), bounded(0.9, 99.9), Some(Greater), Some(Less)),
+        (compared(1, 20), compared(2, 90), Some(Less), Some(Greater)),
+        (compared(1, 20), compared(1, 90), None, None),
+        (compared(5, 20), compared(5, 5), Some(Less), Some(Greater)),
     ];
-    assert!(in_order.windows(2).all(|pair| score(&pair[0]) < score(&pair[1])));
+    for (before, now, order, reverse) in cases {
+        assert_eq!(compare_strengths(&before, &now, false), order, "{before:?} to {now:?}");
+        assert_eq!(compare_strengths(&now, &before, false), reverse, "{now:?} to {before:?}");
+    }
+    // Counts of other runs, such as those of another space, are unlike; a claim that is refuted is still worse.
+    assert_eq!(compare_strengths(&refuted(9, 200), &refuted(10, 200), true), None);
+    assert_eq!(compare_strengths(&tested(200), &refuted(10, 200), true), Some(Less));
 }
 
 #[test]

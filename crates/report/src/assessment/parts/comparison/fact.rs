@@ -1,0 +1,176 @@
+//! Results of an assessment in a form that another assessment can be compared with.
+
+use std::cmp::Ordering;
+use std::collections::BTreeMap;
+
+use serde::Deserialize;
+use serde::de::DeserializeOwned;
+use serde_json::Value;
+
+use super::order::compare_strengths;
+use crate::assessment::CertificateStatus;
+use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Strength};
+use crumple_core::digest::sha256;
+use crumple_search::falsify::counterexample::AvoidabilityClass;
+
+/// The results by name and domain hash. The hash separates results of spaces and scenarios that have the same name.
+pub(super) type Facts = BTreeMap<(String, String), Fact>;
+
+/// A result with its description.
+#[derive(Debug, Clone)]
+pub(super) struct Fact {
+    pub(super) measure: Measure,
+    pub(super) description: String,
+    /// True for a counterexample or a refuted claim: its presence is a failure.
+    pub(super) is_failure: bool,
+}
+
+/// The comparable content of a result.
+#[derive(Debug, Clone, PartialEq)]
+pub(super) enum Measure {
+    /// Strength of a claim, and the hash of the domain of the evidence behind it, if that is known.
+    Claim(Strength, Option<String>),
+    /// Smallest gap, in metres.
+    GapM(f64),
+    /// True if the checker accepted a certificate.
+    Accepted(bool),
+    /// A kind of failure that a search found. The claim about the search compares their numbers.
+    Found,
+}
+
+impl Measure {
+    /// Compares with an earlier result: greater is better. `None` if neither result is better, because the quantities
+    /// are unlike or only the avoidability of failures changed.
+    pub(super) fn compare(&self, before: &Self) -> Option<Ordering> {
+        match (before, self) {
+            (Self::Claim(before, before_domain), Self::Claim(now, now_domain)) => {
+                let is_known = before_domain.is_some() && now_domain.is_some();
+                compare_strengths(before, now, is_known && before_domain != now_domain)
+            }
+            (Self::GapM(before), Self::GapM(now)) => Some(now.total_cmp(before)),
+            (Self::Accepted(before), Self::Accepted(now)) => Some(now.cmp(before)),
+            (Self::Found, Self::Found) => Some(Ordering::Equal),
+            _ => None,
+        }
+    }
+}
+
+/// Reads a field, whose path has slashes. The error names the field.
+pub(super) fn read<T: DeserializeOwned>(value: &Value, field: &str) -> Result<T, String> {
+    let found = value.pointer(&format!("/{field}")).unwrap_or(&Value::Null);
+    T::deserialize(found).map_err(|error| format!("{field}: {error}"))
+}
+
+/// Reads the results of an `assessment.json`.
+///
+/// # Errors
+/// A field that is missing or has another form.
+pub(super) fn read_facts(evidence: &Value) -> Result<Facts, String> {
+    let mut facts = Facts::new();
+    let domains = add_claims(evidence, &mut facts)?;
+    add_gaps(evidence, &domains, &mut facts)?;
+    add_failures(evidence, &domains, &mut facts)?;
+    for proof in read::<Vec<Value>>(evidence, "proofs/certificates")? {
+        let status: CertificateStatus = read(&proof, "status")?;
+        let measure = Measure::Accepted(matches!(status, CertificateStatus::Accepted { .. }));
+        let text = |field: &str| read::<String>(&proof, field);
+        // A changed certificate of the same name is another result.
+        let what = format!("certificate {}: {}, {}", text("name")?, text("statement")?, text("about")?);
+        facts.insert((what, String::new()), Fact { measure, description: status.describe(), is_failure: false });
+    }
+    Ok(facts)
+}
+
+fn hash(domain: &Domain) -> String {
+    sha256(format!("{domain:?}"))
+}
+
+/// Adds the status of each claim about each controller. Returns the domains of the claims.
+fn add_claims(evidence: &Value, facts: &mut Facts) -> Result<Vec<Domain>, String> {
+    let controllers: Vec<String> = read(evidence, "summary/controllers")?;
+    let mut domains = Vec::new();
+    for row in read::<Vec<Value>>(evidence, "summary/claims")? {
+        let words: String = read(&row, "claim")?;
+        let claims: Vec<Option<AssuranceClaim>> = read(&row, "claims")?;
+        let statuses: Vec<Value> = read(&row, "standings")?;
+        let strengths: Vec<Strength> = read(&row, "standings")?;
+        if [claims.len(), strengths.len()] != [controllers.len(); 2] {
+            return Err(format!("summary/claims: `{words}` needs one entry per controller"));
+        }
+        for (((controller, claim), strength), status) in controllers.iter().zip(claims).zip(strengths).zip(&statuses) {
+            // An untried claim is absent: neither better nor worse.
+            if strength != Strength::Untried {
+                let domain = claim.as_ref().map_or_else(String::new, |claim| hash(&claim.domain));
+                let (description, is_failure) = (strength.describe(), strength.is_refutation());
+                let measure = Measure::Claim(strength, deciding_domain(evidence, status));
+                facts.insert((format!("{controller}: {words}"), domain), Fact { measure, description, is_failure });
+            }
+            domains.extend(claim.map(|claim| claim.domain));
+        }
+    }
+    Ok(domains)
+}
+
+/// Returns the hash of the domain of the first piece of evidence behind a status.
+fn deciding_domain(evidence: &Value, status: &Value) -> Option<String> {
+    let place = status.pointer("/evidence/0")?.as_u64()?;
+    let domain = evidence.pointer(&format!("/evidence/{place}/claim/domain"))?;
+    Some(hash(&Domain::deserialize(domain).ok()?))
+}
+
+fn listed_scenarios(domain: &Domain) -> &[ContentId] {
+    match domain {
+        Domain::Scenarios { all, .. } => all,
+        _ => &[],
+    }
+}
+
+/// Adds the smallest gap of each case.
+fn add_gaps(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Result<(), String> {
+    let known: BTreeMap<&str, &str> = domains
+        .iter()
+        .flat_map(listed_scenarios)
+        .map(|scenario| (scenario.name.as_str(), scenario.sha256.as_str()))
+        .collect();
+    for part in ["paper_scenarios/scenarios", "traffic/scenarios"] {
+        for scenario in read::<Option<Vec<Value>>>(evidence, part)?.unwrap_or_default() {
+            let name: String = read(&scenario, "scenario")?;
+            let content = known.get(name.as_str()).copied().unwrap_or_default();
+            for case in read::<Vec<Value>>(&scenario, "cases")? {
+                let controller: String = read(&case, "controller")?;
+                let Some(gap_m) = read::<Option<f64>>(&case, "min_gap_m")? else { continue };
+                let what = (format!("{controller}: smallest gap in {name}"), content.to_owned());
+                let description = format!("{gap_m:.2} m");
+                facts.insert(what, Fact { measure: Measure::GapM(gap_m), description, is_failure: false });
+            }
+        }
+    }
+    Ok(())
+}
+
+/// Adds each kind of failure that a search found.
+fn add_failures(evidence: &Value, domains: &[Domain], facts: &mut Facts) -> Result<(), String> {
+    for space in read::<Vec<Value>>(evidence, "searches/spaces")? {
+        let name: String = read(&space, "name")?;
+        let content: String = read(&space, "known/sha256")?;
+        // A search with another budget or seed is another result.
+        let is_of = |domain: &&Domain| matches!(domain, Domain::Search { space, .. } if space.sha256 == content);
+        let domain = domains.iter().find(is_of).map_or_else(|| content.clone(), hash);
+        for search in read::<Vec<Value>>(&space, "controllers")? {
+            let controller: String = read(&search, "controller")?;
+            let mut kinds: BTreeMap<String, [usize; 2]> = BTreeMap::new();
+            for failure in read::<Vec<Value>>(&search, "failures")? {
+                let is_avoidable = read::<AvoidabilityClass>(&failure, "class")? == AvoidabilityClass::Avoidable;
+                let [found, avoidable] = kinds.entry(read(&failure, "kind")?).or_default();
+                *found += 1;
+                *avoidable += usize::from(is_avoidable);
+            }
+            for (kind, [found, avoidable]) in kinds {
+                let what = (format!("{controller}: failure in `{name}`: {kind}"), domain.clone());
+                let description = format!("{found} found, {avoidable} avoidable");
+                facts.insert(what, Fact { measure: Measure::Found, description, is_failure: true });
+            }
+        }
+    }
+    Ok(())
+}
