@@ -84,6 +84,7 @@ mod process;
 mod r157_simple;
 mod reaction;
 mod rss;
+mod set_speed;
 mod shield;
 mod source;
 mod space_check;
