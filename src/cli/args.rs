@@ -1,5 +1,6 @@
 //! Arguments that several subcommands share, such as scenarios and controllers.
 
+use std::collections::HashSet;
 use std::ops::RangeInclusive;
 use std::path::Path;
 use std::sync::{Mutex, PoisonError};
@@ -37,6 +38,7 @@ pub(super) fn load_scenario(name_or_path: &str) -> Result<Scenario, CliError> {
             let named = NamedController { name: driver.path().to_owned(), kind: controller.clone() };
             let message = |error| CliError::Input(format!("{}: vehicles[{index}].driver: {error}", path.display()));
             named.try_start().map_err(message)?;
+            remember(named);
         }
     }
     Ok(scenario)
@@ -94,11 +96,25 @@ pub(super) fn parse_weighted_name(words: &str) -> Result<(String, f64), String> 
 /// Finds a built-in controller or loads one from a file, for clap. Starts no program: [`try_controllers`] does.
 pub(super) fn parse_controller(name: &str) -> Result<NamedController, ArgumentError> {
     let found = NamedController::find_for_user(name, Path::new(""))?;
-    let mut named = NAMED_CONTROLLERS.lock().unwrap_or_else(PoisonError::into_inner);
-    if !named.iter().any(|other| other.name == found.name) {
-        named.push(found.clone());
-    }
+    remember(found.clone());
     Ok(found)
+}
+
+fn remember(controller: NamedController) {
+    NAMED_CONTROLLERS.lock().unwrap_or_else(PoisonError::into_inner).push(controller);
+}
+
+fn named_controllers() -> Vec<NamedController> {
+    NAMED_CONTROLLERS.lock().unwrap_or_else(PoisonError::into_inner).clone()
+}
+
+/// Fails if a controller that an argument or a scenario names contradicted itself or can no longer be started. Call
+/// before results are written or printed.
+///
+/// # Errors
+/// [`CliError::Input`] names the controller.
+pub(super) fn ensure_trusted() -> Result<(), CliError> {
+    named_controllers().iter().try_for_each(|controller| Ok(controller.ensure_trusted()?))
 }
 
 /// Loads a policy in crumple's own format, built in or from a file.
@@ -112,7 +128,7 @@ pub(super) fn parse_own_policy(name: &str) -> Result<NamedController, ArgumentEr
     }
 }
 
-/// Controllers that arguments name. Their programs start only after all arguments are read.
+/// Controllers that arguments and scenarios name. Those of arguments start only after all arguments are read.
 static NAMED_CONTROLLERS: Mutex<Vec<NamedController>> = Mutex::new(Vec::new());
 
 /// Returns warnings about a controller, one per line.
@@ -126,7 +142,9 @@ pub(super) fn controller_notes(controller: &NamedController) -> impl Iterator<It
 /// # Errors
 /// [`CliError::Input`] for a program that does not start or fails the handshake.
 pub(super) fn try_controllers(quiet: bool) -> Result<(), CliError> {
-    let named = std::mem::take(&mut *NAMED_CONTROLLERS.lock().unwrap_or_else(PoisonError::into_inner));
+    let mut named = named_controllers();
+    let mut names = HashSet::new();
+    named.retain(|controller| names.insert(controller.name.clone()));
     for controller in &named {
         controller
             .try_start()

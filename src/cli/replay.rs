@@ -140,7 +140,7 @@ impl LogReplay {
                 empty.push(format!("{name}: {}", hardest.finish()));
             }
         }
-        self.controller.ensure_trusted().map_err(CliError::input)?;
+        args::ensure_trusted()?;
         if drives.is_empty() {
             let problem = format!("no vehicle follows another for a second; {}", empty.join("; "));
             return Err(CliError::NothingFound(problem));

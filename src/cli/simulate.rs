@@ -211,6 +211,7 @@ impl Simulate {
             self.render(&runs[index], &simulated, many, is_brief)
         });
         let results = results.into_iter().collect::<Result<Vec<_>, _>>()?;
+        args::ensure_trusted()?;
         let mut files = StagedFiles::default();
         for (path, contents) in results.iter().flat_map(|result| &result.files) {
             files.stage(&output::resolve_output_path(path)?, contents)?;

@@ -97,7 +97,7 @@ fn a_shielded_policy_can_be_retrained() {
     let digest =
         |name: &str| NamedController::find(name, Path::new("")).unwrap().policy().map(|policy| policy.digest());
     let reference = Some(Policy::reference().digest());
-    for name in ["policy", "shield:policy", "shield,ahead=7.5,gap-error=0:policy", "shield:shield:policy"] {
+    for name in ["policy", "shield:policy", "shield,ahead=7.5,gap-error=0:policy"] {
         assert_eq!(digest(name), reference, "{name}");
     }
     for name in ["baseline", "idm", "shield:match-leader", "full-throttle"] {

@@ -111,7 +111,7 @@ fn a_hunt_keeps_collisions_as_scenario_files() {
 /// Otherwise every run would fail, and no input would collide.
 #[test]
 fn a_search_starts_processes_and_refuses_those_that_do_not_start() {
-    for name in ["exec:./none", "shield:shield:exec:./none"] {
+    for name in ["exec:./none", "shield:exec:./none"] {
         let refused = CollisionSearch::new(name, None).expect_err("no such program").to_string();
         assert!(refused.contains("none"), "{refused}");
     }

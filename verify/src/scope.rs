@@ -9,7 +9,7 @@ use crate::interval::Interval;
 use crate::invariant::{InvariantClaim, InvariantController, MotionModel};
 use crate::kernel::KernelClaim;
 use crate::rate::Registration;
-use crate::reach::{BoxDimension, FollowerLaw, NetworkFileSource, ReachClaim};
+use crate::reach::{BoxDimension, NetworkFileSource, ReachClaim};
 
 const NO_VEHICLE_BEHIND: &str = "behind: no vehicle";
 
@@ -279,10 +279,7 @@ fn describe_errors(errors: &[(&str, f64, &str)]) -> String {
 fn invariant_scope(claim: &InvariantClaim) -> Scope {
     let [own, leader] = claim.axes;
     let driver = match &claim.controller {
-        InvariantController::Law(law @ FollowerLaw::Idm(_)) => law.to_string(),
-        InvariantController::Law(law) => {
-            format!("{law}, with a set speed of at most {} m/s", round_down(claim.initial_own_mps_at_most))
-        }
+        InvariantController::Law(law) => law.to_string(),
         InvariantController::Network(network) => {
             format!("driven by the {}", describe_network(&network.policy_sha256, network.source.as_ref()))
         }

@@ -167,6 +167,7 @@ pub(super) fn control_law(spec: &ControllerSpec, max_accel_mps2: f64) -> Option<
             speed_gain_per_s: acc.speed_gain_per_s,
             comfort_brake_mps2: acc.comfort_brake_mps2,
             comfort_accel_mps2: acc.comfort_accel_mps2,
+            set_speed_mps: acc.set_speed(),
             max_accel_mps2,
         })),
         _ => None,

@@ -158,7 +158,7 @@ impl TestedController {
         if let Self::Named(ControllerByName(found)) = self { found.ensure_trusted() } else { Ok(()) }
     }
 
-    /// True if the controller runs in a separate process, also behind shields.
+    /// True if the controller runs in a separate process, also behind a shield.
     #[must_use]
     pub(crate) fn is_process(&self) -> bool {
         let Self::Named(ControllerByName(found)) = self else { return false };

@@ -46,6 +46,41 @@ pub(crate) fn simulate_with_truth(controller: &ControllerKind, scenario: &Scenar
     simulate(&Run::new(scenario, options).unwrap(), RecordingLevel::Trace)
 }
 
+/// Answers 3 m/s² to everything, and writes the questions to a file.
+const THROTTLE_SCRIPT: &str = r#"
+while read -r line; do
+    id=${line#'{"id":'}
+    id=${id%%,*}
+    case $line in
+        *hello*) printf '%s\n' '{"crumple":1,"name":"throttle","deterministic":false}' ;;
+        *reset*) printf '%s\n' "{\"id\":$id,\"ready\":true}" ;;
+        *) printf '%s\n' "$line" >>questions && printf '%s\n' "{\"id\":$id,\"acceleration_mps2\":3}" ;;
+    esac
+done
+"#;
+
+/// The input `last_answer_mps2` of a process is the command that its shield gave in place of the answer.
+#[test]
+fn a_process_learns_of_the_commands_that_its_shield_replaces() {
+    let folder = temp_folder();
+    let controller = "version = 1\ncommand = [\"sh\", \"throttle.sh\"]\ninputs = [{ quantity = \
+                      \"last_answer_mps2\" }]\n";
+    fs::write(folder.path().join("throttle.sh"), THROTTLE_SCRIPT.trim_start()).unwrap();
+    fs::write(folder.path().join("throttle.toml"), controller).unwrap();
+    let scenario = built_in_scenario("paper-1").unwrap().edited(|spec| spec.vehicles.truncate(2)).unwrap();
+    let result = simulate_with_truth(&find_controller("shield:throttle.toml", folder.path()).kind, &scenario);
+    let questions = fs::read_to_string(folder.path().join("questions")).unwrap();
+    let seen: Vec<&str> = questions.lines().map(|line| line.split_once("\"see\":[").unwrap().1).collect();
+    let steps = |time_s: f64| (time_s / 0.01).round() as usize;
+    assert!(!result.interventions.is_empty() && seen.len() > 500, "{}", seen.len());
+    assert!(seen[0].starts_with('0'), "{}", seen[0]);
+    for (step, seen) in seen.iter().enumerate().skip(1) {
+        let is_replaced =
+            result.interventions.iter().any(|one| (steps(one.from_s)..steps(one.to_s)).contains(&(step - 1)));
+        assert_eq!(*seen, if is_replaced { "-7.5]}" } else { "3.0]}" }, "step {step}");
+    }
+}
+
 fn running_processes(mark: &str) -> Vec<String> {
     let Ok(all) = fs::read_dir("/proc") else { return Vec::new() };
     let commands = all.flatten().filter_map(|entry| fs::read(entry.path().join("cmdline")).ok());

@@ -23,8 +23,8 @@ const INTERVAL_OPS_PER_LAW: u64 = 200;
 /// The controller of the vehicle under test.
 #[derive(Debug)]
 pub(super) enum CommandModel<'a> {
-    /// A control law, and the set speeds that `acc-aeb` may have.
-    Law(&'a FollowerLaw, Interval),
+    /// A control law.
+    Law(&'a FollowerLaw),
     /// A network; its limits, and those of the leader, are those of the observed accelerations.
     Network(Box<NeuralController>, [Interval; 2]),
 }
@@ -34,7 +34,7 @@ impl CommandModel<'_> {
     pub(super) fn check_inputs(&self, motion: MotionModel) -> Result<(), Rejection> {
         let (Self::Network(network, _), MotionModel::Relative) = (self, motion) else {
             return match (self, motion) {
-                (Self::Law(..), MotionModel::Relative) => {
+                (Self::Law(_), MotionModel::Relative) => {
                     Err(Rejection::invalid("motion", "is relative, and the controller depends on its own speed"))
                 }
                 _ => Ok(()),
@@ -60,11 +60,11 @@ impl CommandModel<'_> {
     /// Returns the commands for observed gaps, own and leader's speeds; the whole line if the budget is exceeded.
     pub(super) fn range(&self, observed: &[AffineForm; 3], limits: Interval, work: &OpBudget) -> Interval {
         let command = match self {
-            Self::Law(law, set_speed) => {
+            Self::Law(law) => {
                 if !work.charge(INTERVAL_OPS_PER_LAW * OPS_PER_INTERVAL_OP) {
                     return Interval::ENTIRE;
                 }
-                law.command_range(observed, *set_speed, limits)
+                law.command_range(observed, limits)
             }
             Self::Network(network, [own_mps2, leader_mps2]) => {
                 let mut forms: [AffineForm; OBSERVATION_SIZE] = Default::default();

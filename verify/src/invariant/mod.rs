@@ -91,7 +91,7 @@ pub struct InvariantClaim {
     pub region_own_mps: [f64; 2],
     /// Leader's speed in the region, in m/s; a single number in the relative model.
     pub region_leader_mps: [f64; 2],
-    /// Largest initial own speed of the claim, in m/s. The set speed of `acc-aeb` is at most this.
+    /// Largest initial own speed of the claim, in m/s.
     pub initial_own_mps_at_most: f64,
     /// Own and leader's speed of the nodes.
     pub axes: [TableAxis; AXIS_COUNT],
@@ -200,9 +200,7 @@ impl InvariantClaim {
         let command = match &self.controller {
             InvariantController::Law(law) => {
                 law.validate()?;
-                let fastest =
-                    Interval::point(self.initial_own_mps_at_most) + Interval::point(self.observation_error[1]);
-                CommandModel::Law(law, fastest.hull(Interval::ZERO))
+                CommandModel::Law(law)
             }
             InvariantController::Network(network) => {
                 let loaded = load_controller(policy, &network.policy_sha256, network.source.as_ref())?;

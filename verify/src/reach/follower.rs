@@ -10,10 +10,9 @@
 //!
 //! - `idm` (Treiber, Hennecke and Helbing, Phys. Rev. E 62, 1805 (2000), equations 3 and 4): A (1 - (v/v₀)⁴ - (s*/s)²)
 //!   with s* = s₀ + max(0, v T + v (v - w) / (2 √(A B))), where a gap below 1 cm counts as 1 cm;
-//! - `acc-aeb`: -b in a step that begins with s < θ (v - w). Otherwise the smaller of k_v (u - v) and k_g (s - s₀ - T
-//!   v) + k_v (w - v), clipped to its comfort limits. u is the follower's speed at the first step without the emergency
-//!   brake. Before that step the follower only brakes, so u is from 0 to v(0). If the brake does not fire at the start,
-//!   u is v(0).
+//! - `acc-aeb`: -b in a step that begins with s < θ (v - w). Otherwise the smaller of k_g (s - s₀ - T v) + k_v (w - v)
+//!   and of a limit, clipped to its comfort limits. With a set speed u the limit is k_v (u - v). Without one it is
+//!   max(0, k_v (w + 5 m/s - v)).
 //!
 //! The law is evaluated in affine forms, which keep the correlation of follower and ego. A sum is exact; a product, a
 //! minimum or a maximum loses an amount of second order in the width. Inputs are within 10⁻⁹ of the truth, the rounding
@@ -36,6 +35,9 @@ use crate::scope::round_down;
 
 /// Smallest gap of `idm`, in metres; smaller ones count as this.
 const MIN_GAP_M: f64 = 0.01;
+
+/// Speed difference to the leader up to which `acc-aeb` accelerates without a set speed, in m/s.
+const CATCH_UP_MPS: f64 = 5.0;
 
 /// Upper bound of the double-precision error of the law's inputs within a kilometre of the origin, in m and m/s.
 const OBSERVATION_ROUNDING: f64 = 1e-9;
@@ -98,6 +100,9 @@ pub struct AccAebLaw {
     pub comfort_brake_mps2: f64,
     /// Hardest acceleration of the law, in m/s².
     pub comfort_accel_mps2: f64,
+    /// u, in m/s; absent without a set speed.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub set_speed_mps: Option<f64>,
     /// Largest acceleration of the vehicle, in m/s².
     pub max_accel_mps2: f64,
 }
@@ -114,22 +119,28 @@ impl fmt::Display for IdmLaw {
     }
 }
 
+impl fmt::Display for AccAebLaw {
+    fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { time_headway_s, standstill_gap_m, gap_gain_per_s2, speed_gain_per_s, .. } = self;
+        write!(
+            out,
+            "drives acc-aeb with a time headway of {time_headway_s} s, {standstill_gap_m} m at standstill, gains \
+             {gap_gain_per_s2} and {speed_gain_per_s}, from -{} to {} m/s², ",
+            self.comfort_brake_mps2, self.comfort_accel_mps2
+        )?;
+        match self.set_speed_mps {
+            Some(speed_mps) => write!(out, "a set speed of {speed_mps} m/s, ")?,
+            None => write!(out, "no acceleration while it is more than {CATCH_UP_MPS} m/s faster than its leader, ")?,
+        }
+        write!(out, "and full braking while its time to collision is below {} s", self.ttc_s)
+    }
+}
+
 impl fmt::Display for FollowerLaw {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Idm(law) => law.fmt(out),
-            Self::AccAeb(law) => write!(
-                out,
-                "drives acc-aeb with a time headway of {} s, {} m at standstill, gains {} and {}, from -{} to {} m/s², \
-                 and full braking while its time to collision is below {} s",
-                law.time_headway_s,
-                law.standstill_gap_m,
-                law.gap_gain_per_s2,
-                law.speed_gain_per_s,
-                law.comfort_brake_mps2,
-                law.comfort_accel_mps2,
-                law.ttc_s
-            ),
+            Self::AccAeb(law) => law.fmt(out),
         }
     }
 }
@@ -152,6 +163,7 @@ impl FollowerLaw {
                     law.speed_gain_per_s,
                     law.comfort_brake_mps2,
                     law.comfort_accel_mps2,
+                    law.set_speed_mps.unwrap_or_default(),
                     law.max_accel_mps2,
                 ],
                 Vec::new(),
@@ -165,22 +177,20 @@ impl FollowerLaw {
         }
     }
 
-    /// Returns the commands for observed gaps, own and leader's speeds. `limits` are those of the vehicle, and
-    /// `set_speed` the speeds u of `acc-aeb`.
-    pub(crate) fn command_range(&self, observed: &[AffineForm; 3], set_speed: Interval, limits: Interval) -> Interval {
+    /// Returns the commands for observed gaps, own and leader's speeds. `limits` are those of the vehicle.
+    pub(crate) fn command_range(&self, observed: &[AffineForm; 3], limits: Interval) -> Interval {
         let [gap, speed, leader] = observed.clone();
         let sight = LawInput { closing: speed.clone().minus(&leader), gap, speed };
         let brake = AffineForm::constant(-Interval::point(limits.low()));
         match self {
             Self::Idm(law) => law.acceleration(&sight, &brake).range(),
-            // The command grows with u. The cruise control alone bounds it for any gap.
+            // The limit of the own speed alone bounds the command for any gap.
             Self::AccAeb(law) => {
-                let highest = AffineForm::constant(Interval::point(set_speed.high()));
-                let form = law.acceleration(&sight, &highest, &brake).range();
-                let cruise = Interval::point(law.speed_gain_per_s) * (set_speed - sight.speed.range());
-                let cruise = cruise.max(-Interval::point(law.comfort_brake_mps2)).max(Interval::point(limits.low()));
-                let high = form.high().min(cruise.high());
-                Interval::new(form.low().min(cruise.low()).min(high), high).unwrap_or(Interval::ENTIRE)
+                let form = law.acceleration(&sight, &brake).range();
+                let limit = law.speed_limit(&sight).range();
+                let limit = limit.max(-Interval::point(law.comfort_brake_mps2)).max(Interval::point(limits.low()));
+                let high = form.high().min(limit.high());
+                Interval::new(form.low().min(high), high).unwrap_or(Interval::ENTIRE)
             }
         }
     }
@@ -196,8 +206,7 @@ impl FollowerLaw {
 
 pub(super) struct LawFollower<'a> {
     law: &'a FollowerLaw,
-    /// u of `acc-aeb`, b, and the initial gap.
-    set_speed: AffineForm,
+    /// b, and the initial gap.
     brake: AffineForm,
     start_gap: &'a AffineForm,
     step: Interval,
@@ -220,17 +229,8 @@ impl LawInput {
 
 impl<'a> LawFollower<'a> {
     pub(super) fn new(law: &'a FollowerLaw, ranges: &InitialRanges, start_gap: &'a AffineForm, step: Interval) -> Self {
-        let get = |dimension: BoxDimension| AffineForm::symbol(dimension as usize, ranges.get(dimension));
-        let speed = get(BoxDimension::FollowerSpeedMps);
-        let closing = speed.clone().minus(&get(BoxDimension::EgoSpeedMps));
-        let start = LawInput::new(start_gap.clone(), speed.clone(), closing);
-        let set_speed = match law {
-            FollowerLaw::AccAeb(law) if law.guard(&start).range().low() < 0.0 => {
-                AffineForm::constant(speed.range().hull(Interval::ZERO))
-            }
-            _ => speed,
-        };
-        Self { law, set_speed, brake: get(BoxDimension::FollowerBrakeMps2), start_gap, step }
+        let dimension = BoxDimension::FollowerBrakeMps2;
+        Self { law, brake: AffineForm::symbol(dimension as usize, ranges.get(dimension)), start_gap, step }
     }
 
     pub(super) fn gap(&self, ego: &VehicleState, own: &VehicleState) -> AffineForm {
@@ -245,7 +245,7 @@ impl<'a> LawFollower<'a> {
     fn acceleration(&self, sight: &LawInput) -> AffineForm {
         match self.law {
             FollowerLaw::Idm(law) => law.acceleration(sight, &self.brake),
-            FollowerLaw::AccAeb(law) => law.acceleration(sight, &self.set_speed, &self.brake),
+            FollowerLaw::AccAeb(law) => law.acceleration(sight, &self.brake),
         }
     }
 
@@ -308,29 +308,40 @@ impl AccAebLaw {
     }
 
     /// Returns the command of a vehicle that brakes at up to `brake`.
-    fn acceleration(&self, sight: &LawInput, set_speed: &AffineForm, brake: &AffineForm) -> AffineForm {
+    fn acceleration(&self, sight: &LawInput, brake: &AffineForm) -> AffineForm {
         let clamp = |wanted: &AffineForm| clamp_to_limits(wanted, brake, self.max_accel_mps2);
         let guard = self.guard(sight).range();
         if guard.high() < 0.0 {
             return clamp(&brake.scaled(Interval::point(-1.0)));
         }
-        let following = clamp(&self.acc_acceleration(sight, set_speed));
+        let following = clamp(&self.acc_acceleration(sight));
         if guard.low() >= 0.0 { following } else { AffineForm::constant(following.range().hull(-brake.range())) }
     }
 
+    /// Returns the largest acceleration that the own speed allows.
+    fn speed_limit(&self, LawInput { speed, closing, .. }: &LawInput) -> AffineForm {
+        let below = |limit_mps: f64, speed: &AffineForm| {
+            let margin = AffineForm::constant(Interval::point(limit_mps)).minus(speed);
+            margin.scaled(Interval::point(self.speed_gain_per_s))
+        };
+        match self.set_speed_mps {
+            Some(set_speed_mps) => below(set_speed_mps, speed),
+            None => relu(&below(CATCH_UP_MPS, closing)),
+        }
+    }
+
     /// Returns the command without the emergency brake.
-    fn acc_acceleration(&self, LawInput { gap, speed, closing, .. }: &LawInput, set_speed: &AffineForm) -> AffineForm {
+    fn acc_acceleration(&self, sight: &LawInput) -> AffineForm {
+        let LawInput { gap, speed, closing } = sight;
         let point = Interval::point;
-        let gain = point(self.speed_gain_per_s);
-        let cruise = set_speed.clone().minus(speed).scaled(gain);
         let mut spacing = gap.clone();
         spacing.shift(-point(self.standstill_gap_m));
         spacing.add_scaled(speed, -point(self.time_headway_s));
         let mut follow = spacing.scaled(point(self.gap_gain_per_s2));
-        follow.add_scaled(closing, -gain);
+        follow.add_scaled(closing, -point(self.speed_gain_per_s));
         let least = AffineForm::constant(-point(self.comfort_brake_mps2));
         let most = AffineForm::constant(point(self.comfort_accel_mps2));
-        min_form(&max_form(&min_form(&cruise, &follow), &least), &most)
+        min_form(&max_form(&min_form(&self.speed_limit(sight), &follow), &least), &most)
     }
 }
 

@@ -26,6 +26,7 @@ pub const ACC_AEB_LAW: AccAebLaw = AccAebLaw {
     speed_gain_per_s: 0.8,
     comfort_brake_mps2: 3.5,
     comfort_accel_mps2: 2.0,
+    set_speed_mps: None,
     max_accel_mps2: 3.0,
 };
 
@@ -50,17 +51,20 @@ pub fn any_law() -> impl Strategy<Value = FollowerLaw> {
     );
     let number = |most: f64| prop_oneof![1 => Just(0.0), 6 => 0.0..most, 1 => most..5.0 * most];
     let acc = [4.0, 3.0, 5.0, 1.0, 2.0, 5.0, 3.0, 3.0].map(number);
-    let acc = acc.prop_map(
-        |[
-            ttc_s,
-            time_headway_s,
-            standstill_gap_m,
-            gap_gain_per_s2,
-            speed_gain_per_s,
-            comfort_brake_mps2,
-            comfort_accel_mps2,
-            max_accel_mps2,
-        ]| {
+    let acc = (acc, prop::option::of(0.0..45.0_f64)).prop_map(
+        |(
+            [
+                ttc_s,
+                time_headway_s,
+                standstill_gap_m,
+                gap_gain_per_s2,
+                speed_gain_per_s,
+                comfort_brake_mps2,
+                comfort_accel_mps2,
+                max_accel_mps2,
+            ],
+            set_speed_mps,
+        )| {
             FollowerLaw::AccAeb(AccAebLaw {
                 ttc_s,
                 time_headway_s,
@@ -69,6 +73,7 @@ pub fn any_law() -> impl Strategy<Value = FollowerLaw> {
                 speed_gain_per_s,
                 comfort_brake_mps2,
                 comfort_accel_mps2,
+                set_speed_mps,
                 max_accel_mps2,
             })
         },

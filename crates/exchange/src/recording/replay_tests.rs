@@ -1,5 +1,5 @@
 use std::path::Path;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use super::read;
 use super::replay::replay;
@@ -49,4 +49,46 @@ fn brakings_stand_beside_those_of_the_driver() {
         assert!((braking.driver_brake_mps2 - 2.0).abs() < 0.05, "{braking:?}");
         assert_eq!(drive.unnecessary.map(|found| found.count), [unnecessary, 0], "{drive:?}");
     }
+}
+
+/// Stores the accelerations that it observes, and those that were executed in place of its commands.
+#[derive(Clone, Default)]
+struct ExecutedLog(Arc<Mutex<[Vec<f64>; 2]>>);
+
+impl Controller for ExecutedLog {
+    fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
+        self.0.lock().unwrap()[0].push(seen.acceleration_mps2);
+        Ok(-5.0)
+    }
+
+    fn record_command(&mut self, command_mps2: f64) {
+        self.0.lock().unwrap()[1].push(command_mps2);
+    }
+}
+
+impl ControllerSource for ExecutedLog {
+    fn identity(&self) -> Option<String> {
+        None
+    }
+
+    fn start(&self, _: &Ego, _: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
+        Ok(Box::new(self.clone()))
+    }
+}
+
+/// A controller that estimates friction from its commands would otherwise find ice.
+#[test]
+fn the_controller_learns_that_the_recorded_acceleration_was_executed() {
+    let mut text = "event,time_s,gap_m,follower_speed_mps,relative_speed_mps,leader_speed_mps\n".to_owned();
+    for tenth in 0..100 {
+        let at_s = f64::from(tenth) / 10.0;
+        text += &format!("a,{at_s:.1},40.0,{:.3},0.0,{:.3}\n", 20.0 - 0.5 * at_s, 20.0 - 0.5 * at_s);
+    }
+    let recording = read(text.as_bytes(), Path::new("a.csv"), None).unwrap();
+    let log = ExecutedLog::default();
+    replay(&recording, &RunOptions::new(ControllerKind::Custom(Arc::new(log.clone()))), 1.3, &|_, _| {}).unwrap();
+    let [observed, executed] = &*log.0.lock().unwrap();
+    assert!(observed.len() > 100 && executed.len() + 1 == observed.len());
+    assert_eq!(executed[..], observed[1..]);
+    assert!((executed[executed.len() - 1] + 0.5).abs() < 1e-6);
 }

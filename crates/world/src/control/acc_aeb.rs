@@ -1,6 +1,7 @@
 //! Adaptive cruise control with automatic emergency braking.
 
 use super::baseline::{Aeb, FIRING_TTC_S};
+use super::set_speed::{self, NO_SET_SPEED_MPS};
 use super::{BuiltIn, Controller, ControllerFailure, Ego};
 use crate::observation::Observation;
 use crate::settings::settings;
@@ -22,18 +23,30 @@ settings! {
         comfort_brake_mps2: 3.5, 0.0..=30.0, 0.0..=5.0;
         /// Maximum acceleration of the cruise control, in m/s².
         comfort_accel_mps2: 2.0, 0.0..=30.0, 0.0..=3.0;
+        /// Set speed, in m/s, which the cruise control does not exceed and drives on an empty road. 100, the default,
+        /// stands for none: it follows its leader at any speed, and holds its speed on an empty road.
+        set_speed_mps: NO_SET_SPEED_MPS, 0.1..=100.0, 5.0..=100.0;
+    }
+}
+
+impl AccAebSettings {
+    /// Returns the set speed, in m/s; `None` without one.
+    #[must_use]
+    pub fn set_speed(&self) -> Option<f64> {
+        set_speed::is_set(self.set_speed_mps).then_some(self.set_speed_mps)
     }
 }
 
 /// A controller that follows at a constant time gap within comfort limits and brakes fully at a low TTC.
 ///
 /// The command is the usual linear one, a = k_g (gap - s₀ - T v) + k_v (v_ahead - v), with T from bumper to bumper
-/// (Rajamani, *Vehicle Dynamics and Control*, 2nd edition, section 6.6.1 has its constant-time-gap family).
+/// (Rajamani, *Vehicle Dynamics and Control*, 2nd edition, section 6.6.1 has its constant-time-gap family). It is at
+/// most k_v (u - v) with a set speed u. Without one it is at most k_v (v_ahead + 5 m/s - v), or 0 if that is negative:
+/// the controller closes a gap at 5 m/s at most, but never brakes for this reason.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AccAeb {
     settings: AccAebSettings,
     aeb: Aeb,
-    set_speed_mps: Option<f64>,
 }
 
 impl BuiltIn for AccAeb {
@@ -42,9 +55,8 @@ impl BuiltIn for AccAeb {
     type Settings = AccAebSettings;
     type Driver = Self;
 
-    /// Starts without a set speed; the first observed own speed becomes the set speed.
     fn start(settings: &AccAebSettings, ego: &Ego, _seed: u64) -> Self {
-        Self { settings: settings.clone(), aeb: Aeb::new(settings.ttc_s, ego), set_speed_mps: None }
+        Self { settings: settings.clone(), aeb: Aeb::new(settings.ttc_s, ego) }
     }
 }
 
@@ -56,8 +68,7 @@ impl Controller for AccAeb {
         }
         let acc = &self.settings;
         let v = seen.speed_mps;
-        let set_speed_mps = *self.set_speed_mps.get_or_insert(v);
-        let cruise = acc.speed_gain_per_s * (set_speed_mps - v);
+        let cruise = set_speed::max_accel_mps2(acc.set_speed_mps, acc.speed_gain_per_s, seen);
         let follow = seen.ahead.map_or(f64::INFINITY, |ahead| {
             let spacing_error_m = ahead.gap_m - acc.standstill_gap_m - acc.time_headway_s * v;
             acc.gap_gain_per_s2 * spacing_error_m + acc.speed_gain_per_s * (ahead.speed_mps - v)
@@ -73,7 +84,7 @@ mod tests {
 
     #[test]
     fn cruises_follows_and_brakes() {
-        let settings = AccAebSettings::default();
+        let settings = AccAebSettings { set_speed_mps: 25.0, ..AccAebSettings::default() };
         let mut controller = AccAeb::start(&settings, &EGO, 0);
         assert_eq!(command_behind(&mut controller, 25.0, 200.0, 25.0, 0.0), 0.0, "holds its set speed on an open road");
         assert_eq!(command_behind(&mut controller, 25.0, 22.0, 25.0, 0.0), 0.0, "2 m + 0.8 s · 25 m/s is its gap");
@@ -81,5 +92,19 @@ mod tests {
         assert_eq!(command_behind(&mut controller, 25.0, 10.0, 20.0, 0.0), -3.5, "comfort limit");
         assert_eq!(command_behind(&mut controller, 25.0, 10.0, 15.0, 0.0), -7.5, "TTC is 1 s");
         assert_eq!(command_behind(&mut controller, 20.0, 200.0, 25.0, 0.0), 2.0, "back to the set speed");
+    }
+
+    #[test]
+    fn follows_without_a_limit_by_default() {
+        let mut controller = AccAeb::start(&AccAebSettings::default(), &EGO, 0);
+        let mut command =
+            |speed_mps, gap_m, ahead_mps| command_behind(&mut controller, speed_mps, gap_m, ahead_mps, 0.0);
+        assert_eq!(command(0.0, 2.0, 0.0), 0.0, "at its gap at standstill");
+        assert_eq!(command(0.0, 4.0, 1.0), 0.5 + 0.8, "drives off behind a leader that drives off");
+        assert_eq!(command(25.0, 30.0, 25.0), 2.0, "the gap is 8 m too long");
+        assert_eq!(command(27.0, 200.0, 25.0), 2.0, "closes in at up to 5 m/s");
+        assert!((command(29.0, 200.0, 25.0) - 0.8).abs() < 1e-12);
+        assert_eq!(command(31.0, 200.0, 25.0), 0.0);
+        assert_eq!(command(25.0, 500.0, 0.0), 0.0, "does not accelerate towards a standing vehicle");
     }
 }

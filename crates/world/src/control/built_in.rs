@@ -104,7 +104,12 @@ macro_rules! define {
             fn record_command(&mut self, command_mps2: f64) {
                 match self {
                     $(Self::$rule(controller) => controller.record_command(command_mps2),)*
-                    _ => {}
+                    Self::Policy(controller) => controller.record_command(command_mps2),
+                    Self::Network(controller) => controller.record_command(command_mps2),
+                    Self::Process(controller) => controller.record_command(command_mps2),
+                    Self::Shielded(controller) => controller.record_command(command_mps2),
+                    Self::Custom(controller) => controller.record_command(command_mps2),
+                    Self::NotStarted(_) => {}
                 }
             }
         }

@@ -53,7 +53,7 @@ impl ControllerKind {
         }
     }
 
-    /// Returns the source behind all shields.
+    /// Returns the source behind a shield, or this source.
     #[must_use]
     pub fn unshielded(&self) -> &Self {
         match self {

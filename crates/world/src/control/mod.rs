@@ -85,6 +85,7 @@ mod r157_simple;
 mod reaction;
 mod rss;
 mod serve;
+mod set_speed;
 mod shield;
 mod source;
 mod space_check;
@@ -175,8 +176,13 @@ pub trait Controller: Send {
     /// [`ControllerFailure`] if there is no answer; the run ends there.
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure>;
 
-    /// Tells the controller that another acceleration than its answer was commanded, in m/s². A controller that learns
-    /// from the effect of its commands needs this when it is only consulted.
+    /// Tells the controller that another acceleration than its answer is commanded in this step, in m/s², because a
+    /// shield replaces it, or because the controller is only consulted (training, replay of a recording). A controller
+    /// that learns from the effect of its commands needs this. Called after [`decide`](Self::decide) and before the
+    /// next call; for a controller with a decision interval, in each such step, also between its decisions. The limits
+    /// of the vehicle are no reason for a call.
+    ///
+    /// Networks, policies, processes and FMUs receive the command as their input `last_answer_mps2`, if they have it.
     fn record_command(&mut self, _command_mps2: f64) {}
 
     /// Decides for many vehicles. Calls `see` once per controller, in order; each controller decides as it would alone.
@@ -202,6 +208,10 @@ pub trait Controller: Send {
 impl Controller for Box<dyn Controller> {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         (**self).decide(seen)
+    }
+
+    fn record_command(&mut self, command_mps2: f64) {
+        (**self).record_command(command_mps2);
     }
 }
 

@@ -158,6 +158,8 @@ pub(crate) struct NetworkDriver {
     controller: Arc<NetworkController>,
     decision_timer: DecisionTimer,
     command_mps2: f64,
+    /// Acceleration that was commanded in the last step in place of the answer, in m/s².
+    replaced_mps2: Option<f64>,
     history: InputHistory<f32>,
     rows: Vec<f32>,
     workspace: Workspace,
@@ -170,6 +172,7 @@ impl NetworkDriver {
             controller,
             decision_timer: interval,
             command_mps2: 0.0,
+            replaced_mps2: None,
             history: InputHistory::default(),
             rows: Vec::new(),
             workspace: Workspace::default(),
@@ -177,8 +180,9 @@ impl NetworkDriver {
     }
 
     fn push_inputs(&mut self, seen: &Observation, rows: &mut Vec<f32>) {
-        let Self { controller, history, command_mps2: held_mps2, .. } = self;
-        let now = controller.mapping.input_values(seen, *held_mps2).map(|value| value as f32);
+        let Self { controller, history, command_mps2, replaced_mps2, .. } = self;
+        let last_mps2 = replaced_mps2.unwrap_or(*command_mps2);
+        let now = controller.mapping.input_values(seen, last_mps2).map(|value| value as f32);
         history.push(&controller.mapping, now, rows);
     }
 }
@@ -194,7 +198,12 @@ impl Controller for NetworkDriver {
             self.command_mps2 = answer_mps2.unwrap_or(self.controller.mapping.output.low_mps2);
             self.rows = rows;
         }
+        self.replaced_mps2 = None;
         Ok(self.command_mps2)
+    }
+
+    fn record_command(&mut self, command_mps2: f64) {
+        self.replaced_mps2 = Some(command_mps2);
     }
 
     /// Decides for all drivers that are due, with one matrix product per group of equal networks.
@@ -211,6 +220,7 @@ impl Controller for NetworkDriver {
                 due.push((index, Arc::clone(&driver.controller)));
                 driver.push_inputs(&observation, &mut rows);
             }
+            driver.replaced_mps2 = None;
         }
         let mut rows = rows.as_slice();
         let mut space = Workspace::default();

@@ -10,6 +10,7 @@
 //! that stops at the stop distance before the place where the lead stops at its comfort braking. Openpilot's cost would
 //! brake earlier and softer.
 
+use super::set_speed::{self, NO_SET_SPEED_MPS};
 use super::{BuiltIn, Controller, ControllerFailure, Ego};
 use crate::observation::Observation;
 use crate::settings::settings;
@@ -27,6 +28,9 @@ settings! {
         follow_s: 1.45, 0.0..=10.0, 0.0..=3.0;
         /// Largest acceleration, in m/s²; chosen.
         max_accel_mps2: 1.2, 0.0..=30.0, 0.5..=2.0;
+        /// Set speed, in m/s, which the controller does not exceed and drives on an empty road. 100, the default,
+        /// stands for none: it follows its leader at any speed, and holds its speed on an empty road.
+        set_speed_mps: NO_SET_SPEED_MPS, 0.1..=100.0, 5.0..=100.0;
     }
 }
 
@@ -40,11 +44,13 @@ impl OpenpilotSettings {
     }
 }
 
+/// Acceleration per m/s below the speed limit, in 1/s; chosen.
+const SPEED_GAIN_PER_S: f64 = 1.0;
+
 /// A controller that keeps openpilot's follow distance within its limits of acceleration.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Openpilot {
     settings: OpenpilotSettings,
-    set_speed_mps: Option<f64>,
 }
 
 impl BuiltIn for Openpilot {
@@ -54,9 +60,8 @@ impl BuiltIn for Openpilot {
     type Settings = OpenpilotSettings;
     type Driver = Self;
 
-    /// Starts without a set speed; the first observed own speed becomes the set speed.
     fn start(settings: &OpenpilotSettings, _ego: &Ego, _seed: u64) -> Self {
-        Self { settings: settings.clone(), set_speed_mps: None }
+        Self { settings: settings.clone() }
     }
 }
 
@@ -65,8 +70,7 @@ impl Controller for Openpilot {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         let limits = &self.settings;
         let v = seen.speed_mps;
-        let set_speed_mps = *self.set_speed_mps.get_or_insert(v);
-        let cruise = set_speed_mps - v;
+        let cruise = set_speed::max_accel_mps2(limits.set_speed_mps, SPEED_GAIN_PER_S, seen);
         let follow = seen.ahead.map_or(f64::INFINITY, |ahead| {
             let spare_m = ahead.gap_m - limits.desired_distance_m(v, ahead.speed_mps);
             // Spreads the deviation over the time gap, as a follow distance of t_follow seconds allows.
@@ -100,10 +104,14 @@ mod tests {
         // 20 m/s behind 20 m/s: 1.45 · 20 + 6. Behind a standing lead: 400/5 + 29 + 6.
         assert_eq!(settings.desired_distance_m(20.0, 20.0), 35.0);
         assert_eq!(settings.desired_distance_m(20.0, 0.0), 115.0);
-        assert_eq!(command(20.0, 35.0, 20.0), 0.0, "at its distance and set speed");
+        assert_eq!(command(20.0, 35.0, 20.0), 0.0, "at its distance");
         // 400/(2 · (100 - 6)) = 2.128 m/s², which exceeds 15/(4 · 1.45²) = 1.78 m/s².
         assert!((command(20.0, 100.0, 0.0) + 400.0 / 188.0).abs() < 1e-12);
         assert_eq!(command(20.0, 30.0, 0.0), -3.5, "at its limit");
-        assert_eq!(command(20.0, 500.0, 20.0), 0.0, "its set speed is the first speed");
+        assert_eq!(command(20.0, 500.0, 20.0), 1.2, "follows without a limit");
+        assert_eq!(command(20.0, 500.0, 10.0), 0.0, "closes a gap at 5 m/s at most");
+        let settings = OpenpilotSettings { set_speed_mps: 20.5, ..settings };
+        let mut controller = Openpilot::start(&settings, &EGO, 0);
+        assert_eq!(command_behind(&mut controller, 20.0, 500.0, 20.0, 0.0), 0.5, "up to its set speed");
     }
 }

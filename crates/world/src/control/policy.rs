@@ -36,6 +36,10 @@ impl Controller for PolicyDriver {
         Ok(self.held_action.acceleration_mps2(&self.policy.header().action))
     }
 
+    fn record_command(&mut self, command_mps2: f64) {
+        self.held_action.set_last_answer_mps2(command_mps2);
+    }
+
     /// Decides for all drivers that are due, with one matrix product per group of equal policies.
     fn decide_batch(
         all: &mut [Self],

@@ -198,6 +198,10 @@ impl Controller for ZeroOrderHold {
         batch_query::decide(self, seen)
     }
 
+    fn record_command(&mut self, command_mps2: f64) {
+        self.controller.record_command(command_mps2);
+    }
+
     fn decide_batch(
         all: &mut [Self],
         see: impl FnMut(usize) -> Observation,

@@ -45,7 +45,7 @@ pub enum ObservedQuantity {
     TimeToCollisionBehindS,
     /// 1 if there is a follower, else 0.
     IsBehind,
-    /// Last answer of the controller; 0 before its first answer.
+    /// Last answer of the controller, or the command that replaced it in the last step; 0 before its first answer.
     LastAnswerMps2,
 }
 

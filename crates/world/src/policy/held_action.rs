@@ -23,7 +23,7 @@ impl HeldAction {
         self.last_answer_mps2
     }
 
-    /// Replaces the last answer, if another controller drove, in m/s².
+    /// Replaces the last answer by the command that was executed in its place, in m/s².
     pub fn set_last_answer_mps2(&mut self, answer_mps2: f64) {
         self.last_answer_mps2 = answer_mps2;
     }

@@ -31,9 +31,6 @@ pub struct NamedController {
     pub kind: ControllerKind,
 }
 
-/// Maximum number of nested `shield:` prefixes; bounds the recursion.
-const MAX_SHIELDS: usize = 8;
-
 const EXEC_PREFIX: &str = "exec:";
 
 /// Reason why a name does not identify a controller.
@@ -68,9 +65,9 @@ pub enum UnknownController {
         /// The setting.
         setting: String,
     },
-    /// Too many nested shields.
-    #[error("at most {MAX_SHIELDS} shields may stand before a controller")]
-    TooManyShields,
+    /// A shield around another shield.
+    #[error("only one shield may stand before a controller")]
+    NestedShields,
     /// A command with invalid quoting.
     #[error("`{command}` is not a valid command: a quotation mark is not closed, or a backslash is last")]
     CommandSyntax {
@@ -150,28 +147,28 @@ impl NamedController {
     ///
     /// `shield:C` is controller C behind a shield. `shield,ahead=A:C` assumes that the leader never brakes harder than
     /// A m/s² on a dry road, instead of its own limit. `gap-error` (m), `speed-error` and `ahead-speed-error` (m/s)
-    /// bound observation errors; if any is given, the others are 0.
+    /// bound observation errors; if any is given, the others are 0. Only one shield may stand before a controller.
     ///
     /// # Errors
     /// [`UnknownController`] for an unknown name, or a file without a usable controller;
     /// [`UnknownController::StartRefused`] for a process or an FMU, unless
     /// [`allow_external`](crate::control::allow_external) was called.
     pub fn find(name: &str, folder: &Path) -> Result<Self, UnknownController> {
-        Self::parse_nested(MAX_SHIELDS, name, folder, NameOrigin::File)
+        Self::parse(name, folder, NameOrigin::File)
     }
 
-    /// Finds a built-in controller, behind shields or not. Reads no file and starts nothing.
+    /// Finds a built-in controller, behind a shield or not. Reads no file and starts nothing.
     #[must_use]
     pub fn find_built_in(name: &str) -> Option<Self> {
-        ControllerSpec::parse(strip_shields(name))?.ok()?;
+        ControllerSpec::parse(split_shield(name).map_or(name, |(_, inner)| inner))?.ok()?;
         Self::find(name, Path::new("")).ok()
     }
 
-    /// Returns the path in the name of a controller that a file holds, behind shields or not; `None` for a built-in
+    /// Returns the path in the name of a controller that a file holds, behind a shield or not; `None` for a built-in
     /// controller and for a command.
     #[must_use]
     pub fn file_in_name(name: &str) -> Option<&str> {
-        let inner = strip_shields(name);
+        let inner = split_shield(name).map_or(name, |(_, inner)| inner);
         let is_file = ControllerSpec::parse(&present_name(inner)).is_none() && !inner.starts_with(EXEC_PREFIX);
         is_file.then_some(inner)
     }
@@ -181,7 +178,7 @@ impl NamedController {
     /// # Errors
     /// [`UnknownController`], as for [`Self::find`].
     pub fn find_for_user(name: &str, folder: &Path) -> Result<Self, UnknownController> {
-        Self::parse_nested(MAX_SHIELDS, name, folder, NameOrigin::User)
+        Self::parse(name, folder, NameOrigin::User)
     }
 
     /// Finds a controller as [`Self::find_for_user`] does and starts its program once as a trial.
@@ -231,13 +228,18 @@ impl NamedController {
         }
     }
 
-    /// Parses a name with at most `shields` nested shields.
-    fn parse_nested(
-        shields: usize,
-        name: &str,
-        folder: &Path,
-        named_by: NameOrigin,
-    ) -> Result<Self, UnknownController> {
+    fn parse(name: &str, folder: &Path, named_by: NameOrigin) -> Result<Self, UnknownController> {
+        let Some((settings, inner)) = split_shield(name) else { return Self::parse_unshielded(name, folder, named_by) };
+        let settings = parse_shield_settings(settings)?;
+        if split_shield(inner).is_some() {
+            return Err(UnknownController::NestedShields);
+        }
+        let Self { name: inner_name, kind: controller } = Self::parse_unshielded(inner, folder, named_by)?;
+        let name = format!("{}{inner_name}", name.strip_suffix(inner).unwrap_or(name));
+        Ok(Self { name, kind: ShieldedSource { controller, settings }.into() })
+    }
+
+    fn parse_unshielded(name: &str, folder: &Path, named_by: NameOrigin) -> Result<Self, UnknownController> {
         let name = &*present_name(name);
         if let Some(spec) = ControllerSpec::parse(name) {
             return Ok(spec?.into());
@@ -249,13 +251,6 @@ impl NamedController {
             let process = ProcessController::new(ProcessSetup::new(words, folder), permission)
                 .map_err(ControllerFileError::Command)?;
             return Ok(Self { name: name.to_owned(), kind: Arc::new(process).into() });
-        }
-        if let Some((settings, inner)) = name.strip_prefix("shield").and_then(|rest| rest.split_once(':')) {
-            let settings = parse_shield_settings(settings)?;
-            let left = shields.checked_sub(1).ok_or(UnknownController::TooManyShields)?;
-            let Self { name: inner_name, kind: controller } = Self::parse_nested(left, inner, folder, named_by)?;
-            let name = format!("{}{inner_name}", name.strip_suffix(inner).unwrap_or(name));
-            return Ok(Self { name, kind: ShieldedSource { controller, settings }.into() });
         }
         let place = folder.join(name);
         let is_network = NetworkFile::is_network(&place);
@@ -305,12 +300,9 @@ fn present_name(name: &str) -> Cow<'_, str> {
     }
 }
 
-fn strip_shields(name: &str) -> &str {
-    let mut inner = name;
-    while let Some((_, rest)) = inner.strip_prefix("shield").and_then(|rest| rest.split_once(':')) {
-        inner = rest;
-    }
-    inner
+/// Splits `shield,SETTINGS:CONTROLLER` into the text after `shield`, and the controller.
+fn split_shield(name: &str) -> Option<(&str, &str)> {
+    name.strip_prefix("shield")?.split_once(':')
 }
 
 /// Returns the file that a name without extension may mean.
@@ -325,12 +317,10 @@ fn is_identified_by_name(kind: &ControllerKind, name: &str) -> bool {
     match kind {
         ControllerKind::BuiltIn(spec) => name == spec.to_arg(),
         ControllerKind::Policy(_) => true,
-        ControllerKind::Shielded(shielded) => {
-            name.strip_prefix("shield").and_then(|rest| rest.split_once(':')).is_some_and(|(settings, inner)| {
-                parse_shield_settings(settings).is_ok_and(|settings| settings == shielded.settings)
-                    && is_identified_by_name(&shielded.controller, inner)
-            })
-        }
+        ControllerKind::Shielded(shielded) => split_shield(name).is_some_and(|(settings, inner)| {
+            parse_shield_settings(settings).is_ok_and(|settings| settings == shielded.settings)
+                && is_identified_by_name(&shielded.controller, inner)
+        }),
         ControllerKind::Network(_) | ControllerKind::Process(_) | ControllerKind::Custom(_) => false,
     }
 }

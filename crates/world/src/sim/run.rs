@@ -77,15 +77,22 @@ impl RunOptions {
 pub struct OpenLoopController {
     controller: AnyController,
     limits: Ego,
+    has_decided: bool,
 }
 
 impl OpenLoopController {
     /// Returns the command for an observation, in m/s², within the limits of the vehicle.
     ///
+    /// In place of the last command, the vehicle has executed the acceleration that is observed now. The controller is
+    /// told so ([`Controller::record_command`]).
+    ///
     /// # Errors
     /// [`ControllerFailure`] if the controller gives no answer.
     pub fn command_mps2(&mut self, observed: &Observation) -> Result<f64, ControllerFailure> {
         let Ego { max_brake_mps2, max_accel_mps2, .. } = self.limits;
+        if std::mem::replace(&mut self.has_decided, true) {
+            self.controller.record_command(observed.acceleration_mps2);
+        }
         Ok(clamp_command(self.controller.decide(observed)?, max_brake_mps2, max_accel_mps2))
     }
 }
@@ -130,6 +137,9 @@ pub enum RunError {
         /// Side without a neighbour: `ahead of` or `behind`.
         missing: &'static str,
     },
+    /// A shield around another shield.
+    #[error("only one shield may stand before a controller")]
+    NestedShields,
     /// A shield gives no guarantee for a vehicle under test.
     #[error("a shield cannot protect vehicle {vehicle}: {refusal}")]
     Shield {
@@ -183,7 +193,8 @@ impl Run {
     /// Prepares a run, which shares the data of the scenario.
     ///
     /// # Errors
-    /// [`RunError`] if steps do not fit or are too many, a neighbour is missing, or a shield gives no guarantee.
+    /// [`RunError`] if steps do not fit or are too many, a neighbour is missing, or a shield gives no guarantee or is
+    /// inside another.
     pub fn new(scenario: &Scenario, options: RunOptions) -> Result<Self, RunError> {
         let step_s = scenario.spec().step_s;
         let substeps = match options.dt_s {
@@ -265,6 +276,9 @@ impl Run {
         let ControllerKind::Shielded(shielded) = &self.options.controller else {
             return Ok(vec![None; vehicles.len()]);
         };
+        if matches!(shielded.controller, ControllerKind::Shielded(_)) {
+            return Err(RunError::NestedShields);
+        }
         let frame = |(vehicle, spec): (usize, &VehicleSpec)| match spec.driver {
             Driver::UnderTest => self
                 .shield_params(vehicle, &shielded.settings)
@@ -282,6 +296,7 @@ impl Run {
         self.scenario.vehicles().get(index).map(|_| OpenLoopController {
             controller: self.start_controller(index, &self.options.controller),
             limits: self.ego(index),
+            has_decided: false,
         })
     }
 

@@ -1,6 +1,6 @@
 use proptest::prelude::*;
 
-use super::super::fixtures::{assert_bounds, interval, point_box, point_form, symbol_form};
+use super::super::fixtures::{assert_bounds, interval, point_form, symbol_form};
 use super::*;
 
 const IDM: IdmLaw = IdmLaw {
@@ -19,6 +19,7 @@ const ACC: AccAebLaw = AccAebLaw {
     speed_gain_per_s: 0.8,
     comfort_brake_mps2: 3.0,
     comfort_accel_mps2: 1.5,
+    set_speed_mps: Some(25.0),
     max_accel_mps2: 2.5,
 };
 
@@ -38,17 +39,32 @@ fn any_idm() -> impl Strategy<Value = IdmLaw> {
 }
 
 fn any_acc() -> impl Strategy<Value = AccAebLaw> {
-    (0.0..4.0_f64, 0.0..3.0_f64, 0.0..5.0_f64, 0.0..1.0_f64, 0.0..2.0_f64, 0.0..5.0_f64, 0.0..3.0_f64, 0.0..4.0_f64)
-        .prop_map(|(ttc_s, time_headway_s, standstill_gap_m, gap_gain, speed_gain, brake, accel, most)| AccAebLaw {
-            ttc_s,
-            time_headway_s,
-            standstill_gap_m,
-            gap_gain_per_s2: gap_gain,
-            speed_gain_per_s: speed_gain,
-            comfort_brake_mps2: brake,
-            comfort_accel_mps2: accel,
-            max_accel_mps2: most,
-        })
+    let set_speed = prop::option::of(0.0..40.0_f64);
+    (
+        0.0..4.0_f64,
+        0.0..3.0_f64,
+        0.0..5.0_f64,
+        [0.0..1.0_f64, 0.0..2.0_f64],
+        0.0..5.0_f64,
+        0.0..3.0_f64,
+        0.0..4.0_f64,
+        set_speed,
+    )
+        .prop_map(
+            |(ttc_s, time_headway_s, standstill_gap_m, [gap_gain, speed_gain], brake, accel, most, set_speed)| {
+                AccAebLaw {
+                    set_speed_mps: set_speed,
+                    ttc_s,
+                    time_headway_s,
+                    standstill_gap_m,
+                    gap_gain_per_s2: gap_gain,
+                    speed_gain_per_s: speed_gain,
+                    comfort_brake_mps2: brake,
+                    comfort_accel_mps2: accel,
+                    max_accel_mps2: most,
+                }
+            },
+        )
 }
 
 /// Returns the `idm` command, and the magnitude of its terms.
@@ -60,9 +76,14 @@ fn idm_acceleration(law: &IdmLaw, [gap, v, w]: [f64; 3]) -> (f64, f64) {
     (law.accel_mps2 * (1.0 - fourth - share * share), law.accel_mps2 * size)
 }
 
-fn acc_acceleration(law: &AccAebLaw, u: f64, [gap, v, w]: [f64; 3]) -> f64 {
+fn acc_acceleration(law: &AccAebLaw, [gap, v, w]: [f64; 3]) -> f64 {
     let follow = law.gap_gain_per_s2 * (gap - law.standstill_gap_m - law.time_headway_s * v);
-    let wanted = (law.speed_gain_per_s * (u - v)).min(follow + law.speed_gain_per_s * (w - v));
+    let limit = match law.set_speed_mps {
+        Some(u) => law.speed_gain_per_s * (u - v),
+        None if v - w < 5.0 => law.speed_gain_per_s * (w + 5.0 - v),
+        None => 0.0,
+    };
+    let wanted = limit.min(follow + law.speed_gain_per_s * (w - v));
     wanted.max(-law.comfort_brake_mps2).min(law.comfort_accel_mps2)
 }
 
@@ -77,13 +98,8 @@ fn point([gap, v, w]: [f64; 3]) -> LawInput {
 
 const BRAKE: [f64; 2] = [7.0, 9.0];
 
-fn law_follower<'a>(
-    law: &'a FollowerLaw,
-    set_speed: AffineForm,
-    brake: AffineForm,
-    start_gap: &'a AffineForm,
-) -> LawFollower<'a> {
-    LawFollower { law, set_speed, brake, start_gap, step: Interval::point(0.1) }
+fn law_follower<'a>(law: &'a FollowerLaw, brake: AffineForm, start_gap: &'a AffineForm) -> LawFollower<'a> {
+    LawFollower { law, brake, start_gap, step: Interval::point(0.1) }
 }
 
 fn plain_of(law: &IdmLaw, seen: &LawInput) -> Interval {
@@ -113,7 +129,7 @@ proptest! {
         v in 0.5..25.0_f64, w in 0.0..25.0_f64, places in prop::array::uniform3(0.0..=1.0_f64),
     ) {
         let (law, start_gap) = (FollowerLaw::Idm(IDM), AffineForm::default());
-        let behind = law_follower(&law, AffineForm::default(), point_form(8.0), &start_gap);
+        let behind = law_follower(&law, point_form(8.0), &start_gap);
         let box_of = [low, v, w].into_iter().zip(widths);
         let ends: Vec<[f64; 2]> = box_of.map(|(low, width)| [low, low + width]).collect();
         let forms: Vec<_> = ends.iter().enumerate().map(|(i, &[low, high])| symbol_form(i, low, high)).collect();
@@ -138,15 +154,29 @@ proptest! {
     /// otherwise.
     #[test]
     fn acc_aeb_for_one_observation_is_its_formula(
-        law in any_acc(), gap in 0.0..60.0_f64, v in 0.0..40.0_f64, w in 0.0..40.0_f64, u in 0.0..40.0_f64,
+        law in any_acc(), gap in 0.0..60.0_f64, v in 0.0..40.0_f64, w in 0.0..40.0_f64,
     ) {
         let guard = gap - law.ttc_s * (v - w);
         prop_assume!(guard.abs() > 1e-9);
-        let wanted = if guard < 0.0 { f64::NEG_INFINITY } else { acc_acceleration(&law, u, [gap, v, w]) };
+        let wanted = if guard < 0.0 { f64::NEG_INFINITY } else { acc_acceleration(&law, [gap, v, w]) };
         let expected = wanted.max(-8.0).min(law.max_accel_mps2);
         let (law, start_gap) = (FollowerLaw::AccAeb(law), AffineForm::default());
-        let found = law_follower(&law, point_form(u), point_form(8.0), &start_gap).acceleration(&point([gap, v, w]));
+        let found = law_follower(&law, point_form(8.0), &start_gap).acceleration(&point([gap, v, w]));
         assert_bounds(found.range(), [expected; 2], 1e-12 * 200.0);
+        let observed = [gap, v, w].map(point_form);
+        let range = law.command_range(&observed, interval(-8.0, 9.0));
+        assert_bounds(range.max(Interval::point(-8.0)), [expected; 2], 1e-12 * 200.0);
+    }
+
+    /// Without a set speed `acc-aeb` does not accelerate at 5 m/s more than the leader, whatever the gap.
+    #[test]
+    fn without_a_set_speed_the_leader_bounds_the_speed(
+        law in any_acc(), v in 5.0..40.0_f64, width in 0.0..2.0_f64, faster in 0.0..1.0_f64,
+    ) {
+        let law = FollowerLaw::AccAeb(AccAebLaw { set_speed_mps: None, ..law });
+        let own = interval(v + faster, v + width + faster);
+        let observed = [interval(1.0, 1e9), own, interval(0.0, v - 5.0)].map(AffineForm::constant);
+        prop_assert!(law.command_range(&observed, interval(-8.0, 9.0)).high() <= 0.0);
     }
 }
 
@@ -164,32 +194,18 @@ fn where_the_gap_may_be_next_to_nothing_idm_may_want_anything() {
 #[test]
 fn where_the_emergency_brake_may_fire_it_brakes_anything_up_to_fully() {
     let (law, start_gap) = (FollowerLaw::AccAeb(AccAebLaw { ttc_s: 5.0, ..ACC }), AffineForm::default());
-    let behind = law_follower(&law, point_form(25.0), symbol_form(6, BRAKE[0], BRAKE[1]), &start_gap);
+    let behind = law_follower(&law, symbol_form(6, BRAKE[0], BRAKE[1]), &start_gap);
     // Closing at 1 m/s, it fires below 5 m.
     let at = |low: f64, high: f64| {
         behind.acceleration(&law_input(symbol_form(0, low, high), point_form(20.0), &point_form(19.0))).range()
     };
-    assert_bounds(at(4.0, 30.0), [-BRAKE[1], acc_acceleration(&ACC, 25.0, [30.0, 20.0, 19.0])], 1e-9);
+    assert_bounds(at(4.0, 30.0), [-BRAKE[1], acc_acceleration(&ACC, [30.0, 20.0, 19.0])], 1e-9);
     assert_bounds(at(2.0, 4.9), [-BRAKE[1], -BRAKE[0]], 1e-9);
-    let follows = [29.0, 30.0].map(|gap| acc_acceleration(&ACC, 25.0, [gap, 20.0, 19.0]));
+    let follows = [29.0, 30.0].map(|gap| acc_acceleration(&ACC, [gap, 20.0, 19.0]));
     assert_bounds(at(29.0, 30.0), follows, 1e-9);
     let stands = LawInput { gap: AffineForm::default(), speed: AffineForm::default(), closing: AffineForm::default() };
-    let expected = acc_acceleration(&ACC, 25.0, [0.0; 3]);
+    let expected = acc_acceleration(&ACC, [0.0; 3]);
     assert_bounds(behind.acceleration(&stands).range(), [expected; 2], 1e-9);
-}
-
-/// u is v(0), or down to standstill if the emergency brake may fire at once.
-#[test]
-fn the_speed_that_acc_aeb_keeps_is_the_one_it_starts_with_unless_it_brakes_at_once() {
-    let mut ranges = point_box([50.0, 10.0, 10.0, 10.0, 0.0, 6.0, 8.0, 0.0]);
-    ranges.follower_speed_mps = interval(14.0, 14.5);
-    let law = FollowerLaw::AccAeb(ACC);
-    // Closing at 4.5 m/s at most, it fires below 9 m.
-    for (gap, expected) in [(9.5, [14.0, 14.5]), (8.5, [0.0, 14.5])] {
-        let gap = point_form(gap);
-        let behind = LawFollower::new(&law, &ranges, &gap, Interval::point(0.1));
-        assert_bounds(behind.set_speed.range(), expected, 1e-9);
-    }
 }
 
 /// A vehicle that may have stopped may have held no acceleration; a standing one does not reverse.
@@ -215,7 +231,7 @@ fn an_observed_acceleration_is_one_that_may_be_held() {
 #[test]
 fn a_step_of_a_modelled_follower_is_the_closed_form() {
     let (law, start_gap) = (FollowerLaw::AccAeb(ACC), point_form(20.0));
-    let behind = law_follower(&law, point_form(16.0), point_form(8.0), &start_gap);
+    let behind = law_follower(&law, point_form(8.0), &start_gap);
     let at = |distance, speed| VehicleState {
         distance: point_form(distance),
         speed: point_form(speed),
@@ -223,7 +239,7 @@ fn a_step_of_a_modelled_follower_is_the_closed_form() {
     };
     let (own, ego) = (at(7.0, 15.0), at(9.0, 14.0));
     let (later, asked) = behind.advance(&own, &ego);
-    let u = acc_acceleration(&ACC, 16.0, [22.0, 15.0, 14.0]);
+    let u = acc_acceleration(&ACC, [22.0, 15.0, 14.0]);
     assert_bounds(asked.range(), [u; 2], 1e-8);
     assert_bounds(later.distance.range(), [7.0 + 1.5 + 0.005 * u; 2], 1e-8);
     assert_bounds(later.speed.range(), [15.0 + 0.1 * u; 2], 1e-8);
@@ -253,7 +269,8 @@ fn follower_models_with_invalid_numbers_are_refused() {
         change(&mut law, number);
         FollowerLaw::AccAeb(law).validate().is_ok()
     };
-    let all: [fn(&mut AccAebLaw, f64); 8] = [
+    let all: [fn(&mut AccAebLaw, f64); 9] = [
+        |law, x| law.set_speed_mps = Some(x),
         |law, x| law.ttc_s = x,
         |law, x| law.time_headway_s = x,
         |law, x| law.standstill_gap_m = x,
@@ -294,11 +311,19 @@ fn a_follower_model_is_printed_with_all_numbers() {
         speed_gain_per_s: 0.5,
         comfort_brake_mps2: 3.5,
         comfort_accel_mps2: 2.0,
+        set_speed_mps: None,
         max_accel_mps2: 2.5,
     };
-    let of_acc = "drives acc-aeb with a time headway of 1.25 s, 3 m at standstill, gains 0.25 and 0.5, from -3.5 to 2 \
-        m/s², and full braking while its time to collision is below 1.4 s";
-    assert_eq!(FollowerLaw::AccAeb(acc).to_string(), of_acc);
+    let of_acc = |limit: &str| {
+        format!(
+            "drives acc-aeb with a time headway of 1.25 s, 3 m at standstill, gains 0.25 and 0.5, from -3.5 to 2 \
+             m/s², {limit}, and full braking while its time to collision is below 1.4 s"
+        )
+    };
+    let without = of_acc("no acceleration while it is more than 5 m/s faster than its leader");
+    assert_eq!(FollowerLaw::AccAeb(acc).to_string(), without);
+    let with = AccAebLaw { set_speed_mps: Some(12.5), ..acc };
+    assert_eq!(FollowerLaw::AccAeb(with).to_string(), of_acc("a set speed of 12.5 m/s"));
 }
 
 #[test]

@@ -20,6 +20,7 @@ fn extreme_law(yes: bool) -> FollowerLaw {
         speed_gain_per_s: 0.0,
         comfort_brake_mps2: 3.0,
         comfort_accel_mps2: 3.0,
+        set_speed_mps: None,
         max_accel_mps2: 3.0,
     })
 }

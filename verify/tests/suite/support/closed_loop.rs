@@ -77,15 +77,18 @@ fn idm_acceleration(idm: &IdmLaw, [gap, v, ahead]: [f64; 3]) -> f64 {
 }
 
 /// Returns the command of a law for gap, own speed and ego speed, clipped to the vehicle's limits.
-fn law_acceleration(law: &FollowerLaw, set_speed: &mut Option<f64>, brake: f64, [gap, v, ahead]: [f64; 3]) -> f64 {
+fn law_acceleration(law: &FollowerLaw, brake: f64, [gap, v, ahead]: [f64; 3]) -> f64 {
     let (wanted, most) = match law {
         FollowerLaw::Idm(law) => (idm_acceleration(law, [gap, v, ahead]), law.max_accel_mps2),
         FollowerLaw::AccAeb(acc) if gap < acc.ttc_s * (v - ahead) => (f64::NEG_INFINITY, acc.max_accel_mps2),
         FollowerLaw::AccAeb(acc) => {
-            let cruise = acc.speed_gain_per_s * (*set_speed.get_or_insert(v) - v);
+            let limit = match acc.set_speed_mps {
+                Some(set_speed) => acc.speed_gain_per_s * (set_speed - v),
+                None => (acc.speed_gain_per_s * (ahead + 5.0 - v)).max(0.0),
+            };
             let spacing = gap - acc.standstill_gap_m - acc.time_headway_s * v;
             let follow = acc.gap_gain_per_s2 * spacing + acc.speed_gain_per_s * (ahead - v);
-            let comfortable = cruise.min(follow).max(-acc.comfort_brake_mps2).min(acc.comfort_accel_mps2);
+            let comfortable = limit.min(follow).max(-acc.comfort_brake_mps2).min(acc.comfort_accel_mps2);
             (comfortable, acc.max_accel_mps2)
         }
     };
@@ -120,7 +123,6 @@ pub fn simulate_with_errors(
 ) -> (Vec<[f64; 8]>, [f64; 2]) {
     let ReachProblem { controller, follower, steps, decision_steps: every, step_s: h, .. } = *scene;
     let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, _, brake_r, _] = start;
-    let mut set_speed = None;
     let (mut a_l, mut a_e, mut a_r, mut answer, mut fired) = (0.0, 0.0, 0.0, 0.0, false);
     let (mut trace, mut least) = (Vec::new(), [ahead, behind]);
     for k in 0..=steps {
@@ -138,7 +140,7 @@ pub fn simulate_with_errors(
                 fired |= behind - ttc_s * (v_r - v_e) < 0.0;
                 if fired { -brake_r } else { 0.0 }
             }
-            Some(FollowerModel::ByLaw(law)) => law_acceleration(&law, &mut set_speed, brake_r, [behind, v_r, v_e]),
+            Some(FollowerModel::ByLaw(law)) => law_acceleration(&law, brake_r, [behind, v_r, v_e]),
             None => 0.0,
         };
         let held = |v: f64, a: f64| if v == 0.0 && a <= 0.0 { 0.0 } else { a };

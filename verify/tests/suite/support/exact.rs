@@ -271,7 +271,6 @@ fn idm_acceleration(law: &IdmLaw, [gap, v, ahead]: [&FixedPointInterval; 3]) -> 
 /// Returns the command of a law for gap, own speed and ego speed, clipped to the vehicle's limits.
 fn law_acceleration(
     law: &FollowerLaw,
-    set_speed: &mut Option<FixedPointInterval>,
     brake: &FixedPointInterval,
     [gap, v, ahead]: [&FixedPointInterval; 3],
 ) -> Result<FixedPointInterval, TooClose> {
@@ -284,10 +283,13 @@ fn law_acceleration(
         }
         FollowerLaw::AccAeb(acc) => {
             let gain = of(acc.speed_gain_per_s);
-            let cruise = gain.clone() * (set_speed.get_or_insert_with(|| v.clone()).clone() - v.clone());
+            let limit = match acc.set_speed_mps {
+                Some(set_speed) => gain.clone() * (of(set_speed) - v.clone()),
+                None => (gain.clone() * (of(5.0) - closing.clone())).max(&FixedPointInterval::zero()),
+            };
             let spacing = gap.clone() - of(acc.standstill_gap_m) - of(acc.time_headway_s) * v.clone();
             let follow = of(acc.gap_gain_per_s2) * spacing - gain * closing;
-            let comfortable = cruise.min(&follow).clamp(-acc.comfort_brake_mps2, acc.comfort_accel_mps2);
+            let comfortable = limit.min(&follow).clamp(-acc.comfort_brake_mps2, acc.comfort_accel_mps2);
             (comfortable, acc.max_accel_mps2)
         }
     };
@@ -335,7 +337,7 @@ pub fn simulate_exactly(
     let ReachProblem { controller, follower, steps, decision_steps: every, .. } = *scene;
     let [mut ahead, mut behind, mut v_l, mut v_e, mut v_r, brake_l, brake_r, onset] =
         start.map(FixedPointInterval::from);
-    let (step, mut set_speed) = (FixedPointInterval::from(scene.step_s), None);
+    let step = FixedPointInterval::from(scene.step_s);
     let zero = FixedPointInterval::zero;
     let (mut a_l, mut a_e, mut a_r, mut answer, mut fired) = (zero(), zero(), zero(), zero(), false);
     let (mut trace, mut least) = (Vec::new(), [ahead.clone(), behind.clone()]);
@@ -367,7 +369,7 @@ pub fn simulate_exactly(
                 fired = fired || behind.is_below(&((v_r.clone() - v_e.clone()) * ttc_s.into()))?;
                 if fired { -brake_r.clone() } else { zero() }
             }
-            Some(FollowerModel::ByLaw(law)) => law_acceleration(&law, &mut set_speed, &brake_r, [&behind, &v_r, &v_e])?,
+            Some(FollowerModel::ByLaw(law)) => law_acceleration(&law, &brake_r, [&behind, &v_r, &v_e])?,
             None => zero(),
         };
         let brakes = match brake {

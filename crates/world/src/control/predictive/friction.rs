@@ -30,6 +30,9 @@ pub(super) struct Friction {
     /// Average of commanded minus actual deceleration, then average of the actual deceleration, in m/s².
     shortfall_mps2: f64,
     achieved_mps2: f64,
+    /// Averages of 1 while the command is braking and 0 otherwise, and of the product with the actual deceleration.
+    braking_share: f64,
+    braking_sum_mps2: f64,
     usable_mps2: f64,
 }
 
@@ -43,6 +46,8 @@ impl Friction {
             jitter: Jitter::new(ego.step_s),
             shortfall_mps2: 0.0,
             achieved_mps2: 0.0,
+            braking_share: 0.0,
+            braking_sum_mps2: 0.0,
             usable_mps2: ego.max_brake_mps2,
         }
     }
@@ -66,15 +71,61 @@ impl Friction {
         let share = (self.step_s / AVERAGING_S).min(1.0);
         self.shortfall_mps2 += share * (wanted_mps2 - actual_mps2 - self.shortfall_mps2);
         self.achieved_mps2 += share * (actual_mps2 - self.achieved_mps2);
+        let braking = if wanted_mps2 > MIN_BRAKE_MPS2 { 1.0 } else { 0.0 };
+        self.braking_share += share * (braking - self.braking_share);
+        self.braking_sum_mps2 += share * (braking * actual_mps2 - self.braking_sum_mps2);
         if wanted_mps2 > MIN_BRAKE_MPS2 && seen.speed_mps > MIN_SPEED_MPS {
             let noise_mps2 = DEVIATIONS * self.jitter.acceleration_variance().sqrt();
             if self.shortfall_mps2 > LAGGING_SHARE * wanted_mps2 + noise_mps2 {
-                let found_mps2 = (wanted_mps2 - self.shortfall_mps2).max(MIN_FRICTION * self.max_brake_mps2);
-                self.usable_mps2 = self.usable_mps2.min(found_mps2);
+                // The average shortfall belongs to the present command only if this is not below earlier ones. The road
+                // allows at least the average of the deceleration while braking, over the same time.
+                let achieved_mps2 = self.braking_sum_mps2 / self.braking_share;
+                let found_mps2 = (wanted_mps2 - self.shortfall_mps2).max(achieved_mps2);
+                self.usable_mps2 = self.usable_mps2.min(found_mps2.max(MIN_FRICTION * self.max_brake_mps2));
             } else {
                 self.usable_mps2 = self.usable_mps2.max(self.achieved_mps2).min(self.max_brake_mps2);
             }
         }
         self.usable_mps2
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::control::tests::EGO;
+
+    /// Returns the estimates of every step for commands on a road that allows `road_mps2`.
+    fn estimates(commands_mps2: &[f64], road_mps2: f64) -> Vec<f64> {
+        let mut friction = Friction::new(&EGO);
+        let mut acceleration_mps2 = 0.0;
+        let step = |&command_mps2: &f64| {
+            let seen = Observation { speed_mps: 20.0, acceleration_mps2, ahead: None, behind: None };
+            let usable_mps2 = friction.usable_brake_mps2(&seen);
+            friction.record(command_mps2);
+            acceleration_mps2 = command_mps2.max(-road_mps2);
+            usable_mps2
+        };
+        commands_mps2.iter().map(step).collect()
+    }
+
+    /// 3.75 m/s² are available. The average deceleration of a period is 3.125 m/s².
+    #[test]
+    fn commands_that_jump_do_not_let_the_estimate_collapse() {
+        for half_period in [5, 20, 50] {
+            let jumping: Vec<f64> =
+                (0..1000).map(|step| if step / half_period % 2 == 0 { -7.5 } else { -2.5 }).collect();
+            let estimated = estimates(&jumping, 3.75);
+            let lowest_mps2 = estimated.iter().copied().fold(f64::INFINITY, f64::min);
+            assert!((2.5..=4.0).contains(&lowest_mps2), "{half_period}: {lowest_mps2}");
+        }
+    }
+
+    #[test]
+    fn a_constant_command_finds_the_friction_and_a_dry_road_keeps_its_own() {
+        let on_ice = estimates(&[-6.0; 300], 1.5);
+        assert!((on_ice[299] - 1.5).abs() < 0.02, "{}", on_ice[299]);
+        let jumping: Vec<f64> = (0..1000).map(|step| if step / 20 % 2 == 0 { -7.0 } else { -2.5 }).collect();
+        assert!(estimates(&jumping, 7.5).iter().all(|&usable_mps2| usable_mps2 == 7.5));
     }
 }

@@ -30,6 +30,8 @@ pub(crate) struct ProcessDriver {
     history: InputHistory<f64>,
     line_buffer: Vec<u8>,
     command_mps2: f64,
+    /// Acceleration that was commanded in the last step in place of the answer, in m/s².
+    replaced_mps2: Option<f64>,
 }
 
 impl ProcessDriver {
@@ -61,6 +63,7 @@ impl ProcessDriver {
             history: InputHistory::default(),
             line_buffer: Vec::new(),
             command_mps2: 0.0,
+            replaced_mps2: None,
             controller,
         };
         if let Some(interval_s) =
@@ -137,10 +140,11 @@ impl BatchQuery for ProcessDriver {
         self.time_s = self.steps as f64 * self.step_s;
         self.steps += 1;
         let due = self.decision_timer.tick();
+        let last_mps2 = self.replaced_mps2.take().unwrap_or(self.command_mps2);
         if due {
             let mapping = &self.controller.setup.mapping;
             self.inputs.clear();
-            self.history.push(mapping, mapping.input_values(seen, self.command_mps2), &mut self.inputs);
+            self.history.push(mapping, mapping.input_values(seen, last_mps2), &mut self.inputs);
         }
         due
     }
@@ -214,6 +218,10 @@ impl BatchQuery for ProcessDriver {
 impl Controller for ProcessDriver {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         batch_query::decide(self, seen)
+    }
+
+    fn record_command(&mut self, command_mps2: f64) {
+        self.replaced_mps2 = Some(command_mps2);
     }
 
     fn decide_batch(

@@ -70,8 +70,9 @@ pub(crate) struct ShieldedController {
     params: ShieldParams,
     /// Commands that the actuator has not received yet, oldest first.
     pending_mps2: VecDeque<f64>,
-    /// Response of the actuator to the commands so far, in m/s².
+    /// Response of the actuator to the commands so far, and to those before this step, in m/s².
     response_mps2: f64,
+    response_before_mps2: f64,
     step: usize,
     overrides: Vec<Override>,
 }
@@ -83,6 +84,7 @@ impl ShieldedController {
             pending_mps2: VecDeque::from(vec![0.0; params.delay_steps]),
             params,
             response_mps2: 0.0,
+            response_before_mps2: 0.0,
             step: 0,
             overrides: Vec::new(),
         }
@@ -137,12 +139,26 @@ impl Controller for ShieldedController {
             if wanted_mps2 > command_mps2 || outside_kernel {
                 self.record_override(outside_kernel, self.params.endangers_rear(observation));
             }
+            if wanted_mps2 > command_mps2 {
+                self.controller.record_command(command_mps2);
+            }
         }
         self.pending_mps2.push_back(command_mps2);
         let due_mps2 = self.pending_mps2.pop_front().unwrap_or(command_mps2);
+        self.response_before_mps2 = self.response_mps2;
         self.response_mps2 = self.params.response_mps2(self.response_mps2, due_mps2);
         self.step += 1;
         Ok(command_mps2)
+    }
+
+    fn record_command(&mut self, command_mps2: f64) {
+        self.controller.record_command(command_mps2);
+        let command_mps2 = clamp_command(command_mps2, self.params.brake_mps2, self.params.accel_mps2);
+        match self.pending_mps2.back_mut() {
+            Some(last_mps2) => *last_mps2 = command_mps2,
+            // Without delay the actuator has received the command already.
+            None => self.response_mps2 = self.params.response_mps2(self.response_before_mps2, command_mps2),
+        }
     }
 }
 

@@ -98,8 +98,10 @@ impl MultiBody {
     }
 
     fn change_pressure(&mut self, demand_mps2: f64, step_s: f64) {
-        let slip = WHEEL.map(|wheel| self.slip(self.state[SPEED], self.state[wheel]));
-        self.brake.advance((-demand_mps2).max(0.0), slip, self.state[SPEED], step_s);
+        let speed_mps = self.state[SPEED];
+        let is_rolling = speed_mps < ROLLING_SPEED_MPS;
+        let slip = WHEEL.map(|wheel| if is_rolling { 0.0 } else { self.slip(speed_mps, self.state[wheel]) });
+        self.brake.advance((-demand_mps2).max(0.0), slip, speed_mps, step_s);
     }
 
     /// Stops a vehicle whose speed became negative, and lets its wheels roll.
@@ -134,26 +136,31 @@ impl MultiBody {
             std::array::from_fn(|index| state[index] + step_s * rates[index])
         };
         let mut start = self.state;
-        let first = self.rates(&mut start, demand_mps2);
-        let second = self.rates(&mut weigh(&start, 0.5 * step_s, &first), demand_mps2);
-        let third = self.rates(&mut weigh(&start, 0.5 * step_s, &second), demand_mps2);
-        let fourth = self.rates(&mut weigh(&start, step_s, &third), demand_mps2);
+        // The speed at the start decides for the whole step. With tyre forces from the middle of a step on, the stiff
+        // equations of the wheels would be unstable at the step of rolling wheels.
+        let is_rolling = start[SPEED] < ROLLING_SPEED_MPS;
+        let rates = |state: &mut BodyState| self.rates(state, demand_mps2, is_rolling);
+        let first = rates(&mut start);
+        let second = rates(&mut weigh(&start, 0.5 * step_s, &first));
+        let third = rates(&mut weigh(&start, 0.5 * step_s, &second));
+        let fourth = rates(&mut weigh(&start, step_s, &third));
         let sum: BodyState = std::array::from_fn(|i| first[i] + 2.0 * second[i] + 2.0 * third[i] + fourth[i]);
         self.state = weigh(&start, step_s / 6.0, &sum);
     }
 
     fn slip(&self, speed_mps: f64, wheel_radps: f64) -> f64 {
-        if speed_mps < ROLLING_SPEED_MPS { 0.0 } else { 1.0 - self.body.wheel_radius_m * wheel_radps / speed_mps }
+        1.0 - self.body.wheel_radius_m * wheel_radps / speed_mps
     }
 
-    /// Returns the derivative of a state. Wheels that would turn backwards are set to rest in the state.
-    fn rates(&self, state: &mut BodyState, demand_mps2: f64) -> BodyState {
+    /// Returns the derivative of a state with rolling or slipping wheels. Wheels that would turn backwards are set to
+    /// rest in the state.
+    fn rates(&self, state: &mut BodyState, demand_mps2: f64, is_rolling: bool) -> BodyState {
         let body = self.body;
         let [_, speed, pitch, pitch_rate, z, z_rate, front_z, front_rate, rear_z, rear_rate, front_wheel, rear_wheel] =
             *state;
-        let ([a_m, b_m], is_rolling) = (body.axle_m, speed < ROLLING_SPEED_MPS);
+        let [a_m, b_m] = body.axle_m;
         let load_n = [front_z * body.tyre_spring_npm[0], rear_z * body.tyre_spring_npm[1]];
-        let slips = [front_wheel, rear_wheel].map(|wheel| self.slip(speed, wheel));
+        let slips = [front_wheel, rear_wheel].map(|wheel| if is_rolling { 0.0 } else { self.slip(speed, wheel) });
         let force_n = [0, 1].map(|axle| body.tyre.force_n(slips[axle], load_n[axle], self.friction));
         let pressure = self.brake.pressure_mps2;
         let shares = |front: f64| [front, 1.0 - front];
@@ -185,8 +192,10 @@ impl MultiBody {
             (torque_nm - body.wheel_radius_m * force_n[axle]) / body.wheel_inertia_kgm2[axle]
         });
         for (rate, wheel) in wheel_rate.iter_mut().zip(WHEEL) {
-            if is_rolling || state[wheel] < 0.0 {
-                (state[wheel], *rate) = (state[wheel].max(0.0), 0.0);
+            if is_rolling {
+                *rate = acceleration_mps2 / body.wheel_radius_m;
+            } else if state[wheel] < 0.0 {
+                (state[wheel], *rate) = (0.0, 0.0);
             }
         }
         let axle_acceleration = |axle: usize, suspension_n: f64| {

@@ -1,7 +1,9 @@
+use proptest::prelude::*;
+
 use super::*;
 use crate::control::ControllerSpec;
 use crate::observation::EstimatorKind;
-use crate::scenario::{PlantKind, Scenario, built_in_scenario};
+use crate::scenario::{Driver, LeadProfile, PlantKind, Scenario, built_in_scenario};
 use crate::sim::{AfterContact, RecordingLevel, Run, RunOptions, simulate, simulate_batch};
 
 /// Sets brake pressures at once, without an anti-lock braking system.
@@ -101,6 +103,64 @@ fn friction_limits_the_braking_of_a_rolling_vehicle() {
         let stop_m = |friction| braking_distance_m(MultiBody::new(kind, friction, 0.09), -7.5, 0.09, 300, 0.01);
         let peak_mps2 = body_params(kind).tyre.p_dx1 * 0.1 * GRAVITY_MPS2;
         assert!(stop_m(0.1) >= 0.09 * 0.09 / (2.0 * peak_mps2) && stop_m(0.1) > stop_m(1.0), "{kind:?}");
+    }
+}
+
+/// Returns the speed after `seconds` under a demand.
+fn drive_mps(vehicle: &mut MultiBody, demand_mps2: f64, seconds: f64, dt_s: f64) -> f64 {
+    for _ in 0..(seconds / dt_s).round() as usize {
+        let speed_mps = vehicle.state[SPEED];
+        vehicle.respond(demand_mps2, speed_mps, dt_s);
+    }
+    vehicle.state[SPEED]
+}
+
+proptest! {
+    #![proptest_config(crumple_cases::with_cases(64))]
+
+    /// The wheels take up to a tenth of the demand.
+    #[test]
+    fn a_vehicle_drives_off_stops_and_drives_off_again(
+        kind in prop::sample::select(BodyKind::ALL.to_vec()), demand_mps2 in 0.3..3.0_f64, brake_mps2 in 0.5..6.0_f64,
+        dt_s in prop::sample::select(vec![0.001, 0.01, 0.02, 0.1]),
+    ) {
+        let mut vehicle = MultiBody::new(kind, 1.0, 0.0);
+        for start in ["first", "second"] {
+            let speed_mps = drive_mps(&mut vehicle, demand_mps2, 4.0, dt_s);
+            let share = speed_mps / (4.0 * demand_mps2);
+            // The air brakes of the lorry release within a second.
+            let least = if start == "first" { 0.9 } else { 0.6 };
+            prop_assert!((least..=1.01).contains(&share), "{kind:?}, {start} start: {speed_mps} m/s");
+            let rolls_mps = vehicle.state[WHEEL[0]] * vehicle.body.wheel_radius_m;
+            prop_assert!((rolls_mps / speed_mps - 1.0).abs() < 0.05, "{rolls_mps} {speed_mps}");
+            prop_assert_eq!(drive_mps(&mut vehicle, -brake_mps2, 40.0, dt_s), 0.0);
+        }
+    }
+}
+
+/// The scenario of a bug report: at rest, 500 m behind a leader of 20 m/s.
+#[test]
+fn idm_drives_off_as_a_point_mass_does() {
+    let mut spec = paper_scenario(0).spec().clone();
+    (spec.duration_s, spec.seed) = (20.0, 0);
+    spec.vehicles.truncate(2);
+    let [leader, ego] = spec.vehicles.as_mut_slice() else { panic!("two vehicles") };
+    (leader.position_m, leader.speed_mps, leader.driver) = (500.0, 20.0, Driver::Profile(LeadProfile::ConstantSpeed));
+    (ego.position_m, ego.speed_mps) = (0.0, 0.0);
+    let final_mps = |body: Option<BodyKind>| {
+        let mut spec = spec.clone();
+        let ego = &mut spec.vehicles[1];
+        (ego.plant, ego.body) = (body.map_or(PlantKind::PointMass, |_| PlantKind::MultiBody), body);
+        let options = RunOptions::new(ControllerSpec::from_name("idm").unwrap()).with_estimator(EstimatorKind::Truth);
+        let run = Run::new(&Scenario::new(spec).unwrap(), options).unwrap();
+        *simulate(&run, RecordingLevel::Trace).trace.unwrap().vehicles[1].speed_mps.last().unwrap()
+    };
+    let point_mass_mps = final_mps(None);
+    assert!((point_mass_mps - 14.5).abs() < 0.05, "{point_mass_mps}");
+    for kind in BodyKind::ALL {
+        let speed_mps = final_mps(Some(kind));
+        // The engine also turns the wheels: up to 5 % of the mass.
+        assert!((0.94..=1.0).contains(&(speed_mps / point_mass_mps)), "{kind:?} {speed_mps}");
     }
 }
 

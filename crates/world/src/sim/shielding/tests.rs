@@ -1,11 +1,15 @@
 //! Tests of a shield far from the origin and with small steps, and of its assumptions.
 #![allow(clippy::unwrap_used, clippy::panic)]
 
+use std::sync::{Arc, Mutex};
+
 use super::*;
-use crate::control::{ControllerKind, ControllerSpec, ShieldedSource};
-use crate::observation::EstimatorKind;
+use crate::control::{
+    Controller, ControllerFailure, ControllerKind, ControllerSource, ControllerSpec, Ego, ShieldedSource,
+};
+use crate::observation::{EstimatorKind, Observation};
 use crate::scenario::{Brake, Environment, Scenario, ScenarioSpec, VehicleClass, built_in_scenario};
-use crate::sim::{Outcome, RecordingLevel, RunError, RunOptions, SimulationResult, simulate};
+use crate::sim::{Outcome, RecordingLevel, RunError, RunOptions, SimulationResult, Stepper, simulate, simulate_batch};
 use proptest::prelude::*;
 
 /// Two vehicles, the second under test. The leader brakes fully from `onset_s` on, until both would stand.
@@ -265,4 +269,109 @@ fn interventions_are_reported_in_seconds_of_the_run() {
     assert!(first.vehicle == 1 && first.from_s > 0.5 && first.from_s < end_s, "{first:?}");
     assert!((last.to_s - end_s).abs() < 1e-9, "{last:?}, which is to end at {end_s}");
     assert!(done.iter().all(|one| one.from_s < one.to_s && !one.rear_conflict), "{done:?}");
+}
+
+/// Commands 3 m/s² at first, and less after each command in place of its own, which it stores.
+#[derive(Clone)]
+struct CommandLog {
+    interval_s: Option<f64>,
+    wanted_mps2: f64,
+    replaced_mps2: Arc<Mutex<Vec<f64>>>,
+}
+
+impl CommandLog {
+    fn new(interval_s: Option<f64>) -> Self {
+        Self { interval_s, wanted_mps2: 3.0, replaced_mps2: Arc::default() }
+    }
+}
+
+impl Controller for CommandLog {
+    fn decide(&mut self, _: &Observation) -> Result<f64, ControllerFailure> {
+        Ok(self.wanted_mps2)
+    }
+
+    fn record_command(&mut self, command_mps2: f64) {
+        self.wanted_mps2 -= 1e-4;
+        self.replaced_mps2.lock().unwrap().push(command_mps2);
+    }
+}
+
+impl ControllerSource for CommandLog {
+    fn identity(&self) -> Option<String> {
+        None
+    }
+
+    fn interval_s(&self) -> Option<f64> {
+        self.interval_s
+    }
+
+    fn start(&self, _: &Ego, _: u64) -> Result<Box<dyn Controller>, ControllerFailure> {
+        Ok(Box::new(self.clone()))
+    }
+}
+
+/// A controller behind a shield learns each command that the shield replaced, in all engines.
+#[test]
+fn a_controller_learns_of_the_commands_that_its_shield_replaces() {
+    let shielded = |log: &CommandLog| {
+        let controller = ControllerKind::Custom(Arc::new(log.clone()));
+        RunOptions::new(ControllerKind::from(ShieldedSource { controller, settings: ShieldSettings::default() }))
+    };
+    for interval_s in [None, Some(0.05)] {
+        let logs: Vec<_> = (0..3).map(|_| CommandLog::new(interval_s)).collect();
+        let scenarios = (0..3).map(|index| built_in_scenario(&format!("paper-{}", index + 1)).unwrap());
+        let scenarios = scenarios.map(|scenario| scenario.edited(|spec| spec.vehicles.truncate(2)).unwrap());
+        let scenarios: Vec<Scenario> = scenarios.collect();
+        let prepare = |(scenario, log)| Run::new(scenario, shielded(log)).unwrap();
+        let runs: Vec<_> = scenarios.iter().zip(&logs).map(prepare).collect();
+        let together = simulate_batch(&runs, RecordingLevel::Trace, |_, result| result);
+        let of_batch: Vec<_> = logs.iter().map(|log| std::mem::take(&mut *log.replaced_mps2.lock().unwrap())).collect();
+        for (((run, log), result), of_batch) in runs.iter().zip(&logs).zip(together).zip(of_batch) {
+            let alone = simulate(run, RecordingLevel::Trace);
+            assert_eq!(alone, result);
+            let taken = || std::mem::take(&mut *log.replaced_mps2.lock().unwrap());
+            let of_scalar = taken();
+            let steps: f64 = alone.interventions.iter().map(|one| (one.to_s - one.from_s) / 0.01).sum();
+            let expected = vec![-7.5; steps.round() as usize];
+            assert!(expected.len() > 10);
+            assert_eq!((&of_scalar, &of_batch), (&expected, &expected), "{interval_s:?}");
+            let of_steps = [1, 10].map(|together| {
+                let mut stepper = Stepper::without_summaries(run);
+                while !stepper.has_ended() {
+                    stepper.drive(0, together, |_| -1.0, |_| std::ops::ControlFlow::Continue(()));
+                }
+                taken()
+            });
+            assert!(!of_steps[0].is_empty() && of_steps[0] == of_steps[1]);
+        }
+    }
+}
+
+/// A driver that is only consulted learns of the commands, also in several steps at once.
+#[test]
+fn a_consulted_controller_learns_of_the_commands_of_another() {
+    let scenario = built_in_scenario("paper-1").unwrap();
+    for together in [1, 10] {
+        let log = CommandLog::new(None);
+        let run = Run::new(&scenario, RunOptions::new(ControllerKind::Custom(Arc::new(log.clone())))).unwrap();
+        let mut stepper = Stepper::without_summaries(&run);
+        stepper.consult(1, EstimatorKind::Kalman);
+        stepper.drive(1, 3 * together, |_| -0.25, |_| std::ops::ControlFlow::Continue(()));
+        assert_eq!(*log.replaced_mps2.lock().unwrap(), vec![-0.25; 3 * together]);
+        assert!(stepper.consulted_mps2(1).is_some_and(|answer_mps2| answer_mps2 < 3.0));
+    }
+}
+
+#[test]
+fn a_shield_around_a_shield_is_refused() {
+    let settings = |ahead_mps2| ShieldSettings { ahead_brake_mps2: Some(ahead_mps2), ..Default::default() };
+    let controller = ControllerSpec::FullThrottle(Default::default()).into();
+    let inner = ShieldedSource { controller, settings: settings(9.0) }.into();
+    let nested = ControllerKind::from(ShieldedSource { controller: inner, settings: settings(3.0) });
+    let refused = Run::new(&built_in_scenario("paper-1").unwrap(), RunOptions::new(nested));
+    assert!(matches!(refused.err(), Some(RunError::NestedShields)));
+    let name = "shield,ahead=3:shield,ahead=9:full-throttle";
+    let error = crate::sim::NamedController::find(name, std::path::Path::new("")).unwrap_err().to_string();
+    assert_eq!(error, "only one shield may stand before a controller");
+    assert!(crate::sim::NamedController::find_built_in(name).is_none());
 }

@@ -85,7 +85,8 @@ impl Stepper {
         command: &mut impl FnMut(&Observation) -> f64,
         after: &mut impl FnMut(&StepView<'_>) -> ControlFlow<()>,
     ) -> FallbackReason {
-        let is_watched = self.trace.is_some() || !self.extremes.is_empty();
+        let is_consulted = self.loops.iter().any(|vehicle| vehicle.consulted.is_some());
+        let is_watched = self.trace.is_some() || !self.extremes.is_empty() || is_consulted;
         if is_watched || self.time_grid.substeps != 1 || !self.impacts.is_empty() || !self.platoon.lane.is_constant() {
             return FallbackReason::CommandsPending;
         }
