@@ -44,6 +44,7 @@ pub use summary::{
     AvoidabilitySummary, CampaignSummary, ConfirmationSummary, FailureKindSummary, FailuresByMethod, MethodSummary,
 };
 
+use super::InvalidPoints;
 use crumple_core::observer::Stopped;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
@@ -99,8 +100,13 @@ pub enum CampaignError {
     )]
     NoIdentity(String),
     /// The search method proposed no points, or points outside the unit cube.
-    #[error("the search method `{0}` must propose points of the unit cube, at least one each time")]
-    InvalidPoints(String),
+    #[error("the search method `{method}` {problem}")]
+    InvalidPoints {
+        /// Name of the method.
+        method: String,
+        /// Problem of the points.
+        problem: InvalidPoints,
+    },
     /// No vehicle of the space is under test.
     #[error("the space `{0}` has no vehicle under test")]
     NoVehicleUnderTest(String),
