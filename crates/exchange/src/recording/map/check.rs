@@ -25,6 +25,13 @@ pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
         let found = spec.lines_before_names;
         return wrong("lines_before_names", format!("must be at most {MAX_LINES_BEFORE_NAMES}, found {found}"));
     }
+    for (field, is_stated) in
+        [("bus_channel", spec.bus_channel.is_some()), ("source_address", spec.source_address.is_some())]
+    {
+        if is_stated && spec.dbc.is_none() {
+            return wrong(field, "applies only to raw CAN frames, which need a DBC file (`dbc`)".to_owned());
+        }
+    }
     check_range("interpolate_s", spec.interpolate_s, [0.0, MAX_INTERPOLATION_S])?;
     let columns = spec.columns();
     columns.iter().try_for_each(|(field, column)| check_name(field, column))?;
@@ -61,7 +68,19 @@ pub(in crate::recording) struct ColumnRole {
     pub(in crate::recording) is_spacing: bool,
 }
 
+/// Returns whether two names of columns are equal, except for capital letters.
+pub(in crate::recording) fn is_same_name(a: &str, b: &str) -> bool {
+    a.eq_ignore_ascii_case(b)
+}
+
 impl RecordingMapSpec {
+    /// Returns whether the map names a column of a table, except for capital letters.
+    #[cfg(feature = "parquet")]
+    pub(in crate::recording) fn has_column(&self, name: &str) -> bool {
+        let is_named = |column: &str| is_same_name(column, name) || column_number(name, column).is_some();
+        self.columns().into_iter().any(|(_, column)| is_named(column))
+    }
+
     /// Returns the role of a column; `None` if the map does not name it.
     pub(in crate::recording) fn column_role(&self, name: &str) -> Option<ColumnRole> {
         let is_named = |column: &str| column == name || column_number(name, column).is_some();
