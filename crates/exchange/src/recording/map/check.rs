@@ -1,5 +1,6 @@
 //! Validation of maps.
 
+#[cfg(any(feature = "mdf", feature = "parquet"))]
 use super::super::platoon_columns::column_number;
 use super::{LayoutSpec, LengthSpec, PairsSpec, PlatoonSpec, RecordingMapSpec, Spacing, SpeedSpec, TimeSpec};
 
@@ -58,6 +59,7 @@ pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
 }
 
 /// Role of a column of a file in a map.
+#[cfg(feature = "mdf")]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::recording) struct ColumnRole {
     /// A column of times.
@@ -82,6 +84,7 @@ impl RecordingMapSpec {
     }
 
     /// Returns the role of a column; `None` if the map does not name it.
+    #[cfg(feature = "mdf")]
     pub(in crate::recording) fn column_role(&self, name: &str) -> Option<ColumnRole> {
         let is_named = |column: &str| column == name || column_number(name, column).is_some();
         let (field, _) = self.columns().into_iter().find(|(_, column)| is_named(column))?;
