@@ -22,7 +22,7 @@ pub(super) struct ArtifactArgs {
     #[arg(
         long,
         value_name = "F.svg|F.png",
-        value_parser = |path: &str| simulate::parse_path_ending_in(path, ["svg", "png"])
+        value_parser = simulate::path_ending_in(["svg", "png"])
     )]
     plot: Option<PathBuf>,
     /// Output format

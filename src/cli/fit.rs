@@ -7,12 +7,13 @@ use std::io::{self, BufReader, Read};
 use std::path::{Path, PathBuf};
 
 use clap::Args;
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use serde_json::json;
 
 use super::import::{load_map, parse_min_brake, render_figure};
 use super::output_folder::stage_unless_edited;
 use super::progress::read_bar;
-use super::simulate::{OutputFormat, parse_path_ending_in};
+use super::simulate::{OutputFormat, path_ending_in};
 use super::{CliError, args, output, value_enums};
 use crumple_core::digits;
 use crumple_core::quoting::TerminalText;
@@ -75,10 +76,10 @@ pub(super) struct Fit {
     #[arg(long, value_name = "N", default_value_t = 0, value_parser = args::whole_number::<u64>(0..=u64::MAX))]
     seed: u64,
     /// File for the scenario space
-    #[arg(long, value_name = "SPACE.toml", value_parser = parse_space_path)]
+    #[arg(long, value_name = "SPACE.toml", value_parser = space_path())]
     out: PathBuf,
     /// Plot observed and fitted values, one panel per parameter
-    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| parse_path_ending_in(path, ["svg", "png"]))]
+    #[arg(long, value_name = "F.svg|F.png", value_parser = path_ending_in(["svg", "png"]))]
     plot: Option<PathBuf>,
     /// Overwrite an existing scenario space or plot with other contents
     #[arg(long)]
@@ -88,8 +89,11 @@ pub(super) struct Fit {
     format: OutputFormat,
 }
 
-fn parse_space_path(path: &str) -> Result<PathBuf, String> {
-    if path.ends_with(".toml") { Ok(PathBuf::from(path)) } else { Err("must end in .toml".to_owned()) }
+fn space_path() -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().try_map(|path| match path.extension() {
+        Some(extension) if extension == "toml" => Ok(path),
+        _ => Err("must end in .toml"),
+    })
 }
 
 /// Refuses recordings with the content of another one, which would count episodes and hours twice and understate the

@@ -47,7 +47,7 @@ docs/exchange.md states the other limits.
 
 Recordings of any length need less than 500 MB of memory: crumple reads them in overlapping parts of about 500 000 \
 rows, and traffic through temporary files (in TMPDIR). A platoon may have 200 vehicles, a file a million events or \
-vehicles. --preview reads the first part, --guess the first 500 000 rows. A map may have 64 KiB. An existing \
+vehicles. --preview reads the first part, --guess the first 100 000 rows. A map may have 64 KiB. An existing \
 scenario file stays as it is if it is equal; if it differs, nothing is written without --force.
 
 Examples:
@@ -67,7 +67,7 @@ pub(super) struct Import {
     #[arg(
         long,
         value_name = "F.svg|F.png",
-        value_parser = |path: &str| simulate::parse_path_ending_in(path, ["svg", "png"]),
+        value_parser = simulate::path_ending_in(["svg", "png"]),
         conflicts_with_all = ["out", "leaders", "min_brake"]
     )]
     preview: Option<PathBuf>,

@@ -12,7 +12,7 @@ use serde::Serialize;
 use super::import::render_figure;
 use super::output;
 use super::reach::write_certificate;
-use super::simulate::{OutputFormat, parse_path_ending_in};
+use super::simulate::{OutputFormat, path_ending_in};
 use super::{CliError, args, progress};
 use crumple_evidence::{
     Defeat, InvalidBox, InvariantOptions, InvariantPlan, InvariantProgress, InvariantSet, InvariantSpec, InvariantStage,
@@ -88,7 +88,7 @@ pub(super) struct InvariantCommand {
     #[arg(long, value_name = "FILE")]
     certificate: Option<PathBuf>,
     /// Picture of the smallest gaps against the closing speed, one line for each of five own speeds
-    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| parse_path_ending_in(path, ["svg", "png"]))]
+    #[arg(long, value_name = "F.svg|F.png", value_parser = path_ending_in(["svg", "png"]))]
     plot: Option<PathBuf>,
     /// Output format
     #[arg(long, value_enum, default_value = "text")]

@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use clap::builder::{PathBufValueParser, TypedValueParser};
 use clap::{Args, ValueEnum};
 
 use super::output;
@@ -84,13 +85,13 @@ pub(super) struct Simulate {
     #[arg(long, value_name = "PLANT", value_parser = value_enums::one_of(value_enums::PLANTS))]
     plant: Option<PlantKind>,
     /// Plot position, speed and spacing over time; replaces an existing file
-    #[arg(long, value_name = "F.svg|F.png", value_parser = |path: &str| parse_path_ending_in(path, ["svg", "png"]))]
+    #[arg(long, value_name = "F.svg|F.png", value_parser = path_ending_in(["svg", "png"]))]
     plot: Option<PathBuf>,
     /// Write the motion as a table, one row per sample and vehicle; replaces an existing file
     #[arg(
         long,
         value_name = "F.csv|F.parquet",
-        value_parser = |path: &str| parse_path_ending_in(path, ["csv", "parquet"])
+        value_parser = path_ending_in(["csv", "parquet"])
     )]
     trace: Option<PathBuf>,
     /// Evaluate a specification and its robustness: `no collision`, or a formula of signal temporal logic; may be
@@ -439,12 +440,14 @@ fn encode_figure(path: &Path, picture: &Svg) -> Result<Vec<u8>, CliError> {
 }
 
 /// Parses a path with one of two extensions, in a format that this build writes.
-pub(super) fn parse_path_ending_in(path: &str, extensions: [&str; 2]) -> Result<PathBuf, String> {
-    let [one, other] = extensions;
-    match extension(Path::new(path)) {
-        Some(found) if extensions.contains(&found) => feature::require_format(found).map(|()| PathBuf::from(path)),
-        _ => Err(format!("must end in .{one} or .{other}")),
-    }
+pub(super) fn path_ending_in(extensions: [&'static str; 2]) -> impl TypedValueParser<Value = PathBuf> {
+    PathBufValueParser::new().try_map(move |path| {
+        let [one, other] = extensions;
+        match extension(&path) {
+            Some(found) if extensions.contains(&found) => feature::require_format(found).map(|()| path),
+            _ => Err(format!("must end in .{one} or .{other}")),
+        }
+    })
 }
 
 fn extension(path: &Path) -> Option<&str> {

@@ -102,6 +102,38 @@ fn damaged_maps_and_files_name_file_line_and_field() {
     assert_refused(&run_crumple(folder.path(), "import a.csv --map m.toml"), "m.toml: holds more than 0 MiB");
 }
 
+/// Linux allows any bytes in names, such as those of Windows-1252.
+#[cfg(target_os = "linux")]
+#[test]
+fn names_of_files_need_not_be_utf_8() {
+    use std::ffi::OsStr;
+    use std::os::unix::ffi::OsStrExt;
+
+    let folder = temp_folder();
+    let map = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples/maps/logged-pair.toml");
+    let [log, maps, plot, out] =
+        [&b"Stra\xdfe.csv"[..], b"M\xfcll.toml", b"Stra\xdfe.svg", b"Ausfl\xfcge"].map(OsStr::from_bytes);
+    fs::write(folder.path().join(log), logged_pair_csv(3.0)).unwrap();
+    fs::copy(map, folder.path().join(maps)).unwrap();
+    let run = |subcommand: &str, arguments: &[&OsStr]| {
+        let output = command(folder.path(), subcommand).arg(log).arg("--map").arg(maps).args(arguments).output();
+        let output = output.expect("starts");
+        assert_eq!(exit_code(&output), 0, "{subcommand}: {}", stderr(&output));
+        stdout(&output).to_owned()
+    };
+    let imported = run("import", &[OsStr::new("--out"), out]);
+    assert_eq!(imported, "Stra\u{fffd}e.csv: 1 scenario (logged-pair)\n");
+    assert_eq!(file_names_in(&folder.path().join(out)), ["logged-pair-stra-e-01.toml"]);
+    assert!(run("import", &[OsStr::new("--preview"), plot]).contains("1 vehicles that may lead"));
+    assert!(folder.path().join(plot).exists());
+    assert!(run("replay", &["--controller", "idm"].map(OsStr::new)).contains("1 drive behind a leader"));
+    for (space, problem) in [(plot, "must end in .toml"), (OsStr::from_bytes(b"R\xe4.toml"), "and 20 are needed")] {
+        let fitted =
+            command(folder.path(), "fit").args([log, OsStr::new("--map"), maps, OsStr::new("--out"), space]).output();
+        assert_refused(&fitted.expect("starts"), problem);
+    }
+}
+
 #[test]
 fn exports_are_two_files_a_scenario() {
     let folder = temp_folder();

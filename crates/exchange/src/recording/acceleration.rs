@@ -18,7 +18,7 @@ impl AccelerationCheck {
     /// Returns the check of a speed whose acceleration the map names.
     pub(super) fn find(names: &CsvRow<'_>, speed: &SpeedSpec) -> Result<Option<Self>, RecordingError> {
         let Some(acceleration) = &speed.acceleration else { return Ok(None) };
-        let column = CsvColumn::find(names, &acceleration.column, acceleration.unit.map(AccelerationUnit::factor))?;
+        let column = CsvColumn::find(names, &acceleration.column, AccelerationUnit::of_column(acceleration.unit))?;
         let series = Series::new(column, ColumnQuantity::Signed);
         Ok(Some(Self { series, comparison: Comparison::of_speeds(), speed: speed.column.clone() }))
     }

@@ -7,6 +7,8 @@ use std::path::Path;
 use super::ReadProgress;
 use super::error::{BinaryProblem, RecordingError};
 use super::map::RecordingMapSpec;
+#[cfg(any(feature = "mdf", feature = "parquet"))]
+use super::map::is_same_name;
 use super::table::RowReader;
 #[cfg(any(feature = "mdf", feature = "parquet"))]
 use super::text_rows::Fields;
@@ -76,27 +78,6 @@ impl Seek for RecordingFile {
     }
 }
 
-#[cfg(feature = "parquet")]
-impl parquet::file::reader::Length for RecordingFile {
-    fn len(&self) -> u64 {
-        self.length
-    }
-}
-
-#[cfg(feature = "parquet")]
-impl parquet::file::reader::ChunkReader for RecordingFile {
-    type T = <File as parquet::file::reader::ChunkReader>::T;
-
-    fn get_read(&self, start: u64) -> parquet::errors::Result<Self::T> {
-        self.report(start);
-        self.file.get_read(start)
-    }
-
-    fn get_bytes(&self, start: u64, length: usize) -> parquet::errors::Result<bytes::Bytes> {
-        self.file.get_bytes(start, length)
-    }
-}
-
 impl BinaryFormat {
     /// Recognises a format by the first bytes of a file; `None` for a text.
     pub(super) fn detect(start: &[u8]) -> Option<Self> {
@@ -159,8 +140,8 @@ fn open_parquet<'a>(
     map: Option<&RecordingMapSpec>,
 ) -> Result<RowReader<'a>, BinaryProblem> {
     let (rows, names) = match input {
-        Input::File(file) => super::parquet_rows::open(file, map)?,
-        Input::Bytes(bytes) => super::parquet_rows::open(bytes::Bytes::from(bytes), map)?,
+        Input::File(file) => super::parquet::open(file, map)?,
+        Input::Bytes(bytes) => super::parquet::open(std::io::Cursor::new(bytes), map)?,
     };
     Ok(RowReader::from_binary(Box::new(rows), (names, Fields::default()), path))
 }
@@ -172,16 +153,18 @@ fn open_parquet<'a>(_: Input, _: &'a Path, _: Option<&RecordingMapSpec>) -> Resu
 
 #[cfg(feature = "mdf")]
 fn open_mdf<'a>(input: Input, path: &'a Path, map: Option<&RecordingMapSpec>) -> Result<RowReader<'a>, BinaryProblem> {
-    use super::mdf::{DbcFile, SignalStream};
+    use super::mdf::{DbcFile, SignalStream, SignalUse};
     let map = map.ok_or(BinaryProblem::NeedsMap)?;
     let known = std::cell::RefCell::new(Vec::new());
     let wanted = |name: &str| {
         if known.borrow().len() < MAX_LISTED {
             known.borrow_mut().push(name.to_owned());
         }
-        map.column_role(name).is_some_and(|role| !role.is_clock)
+        let role = map.column_role(name).filter(|role| !role.is_clock)?;
+        Some(if role.is_id { SignalUse::Id } else { SignalUse::Number })
     };
     let dbc = map.dbc.as_deref().map(DbcFile::load).transpose()?;
+    let dbc = dbc.map(|dbc| dbc.with_frames_of(map)).transpose()?;
     let signals = match input {
         Input::File(file) => SignalStream::open(file, dbc.as_ref(), &wanted),
         Input::Bytes(bytes) => SignalStream::open(std::io::Cursor::new(bytes), dbc.as_ref(), &wanted),
@@ -194,7 +177,7 @@ fn open_mdf<'a>(input: Input, path: &'a Path, map: Option<&RecordingMapSpec>) ->
 /// Checks that a file has the columns of a map, beside numbered ones.
 #[cfg(any(feature = "mdf", feature = "parquet"))]
 pub(super) fn check_columns(map: &RecordingMapSpec, names: &Fields, known: &[String]) -> Result<(), BinaryProblem> {
-    let is_missing = |column: &str| !column.contains("{}") && names.iter().all(|name| name != column);
+    let is_missing = |column: &str| !column.contains("{}") && !names.iter().any(|name| is_same_name(name, column));
     match map.columns().into_iter().find(|(_, column)| is_missing(column)) {
         Some((_, column)) => {
             let more = if known.len() < MAX_LISTED { "" } else { ", ..." };

@@ -85,3 +85,60 @@ fn accelerations_that_contradict_the_speeds_stop_the_import() {
     let dropped = read_with(1.0, 2.0, "m/s2").expect("readable").dropped;
     assert!(dropped.len() == 1 && dropped[0].to_string().contains("an offset of -2.0 m/s²"), "{dropped:?}");
 }
+
+/// Returns a recording of a drive: the gap ahead with noise, the gap behind, and both closing speeds.
+fn two_gaps(noise_m: f64, resolution_m: f64) -> String {
+    let (mut text, mut gaps_m) = ("t,front,rear,front_closing,rear_closing,v\n".to_owned(), [40.0, 25.0]);
+    let mut random = 1_u64;
+    for tenth in 0..1200 {
+        let at_s = f64::from(tenth) / 10.0;
+        let speeds = |at_s: f64| [(0.6 * at_s).sin(), 1.2 * (0.37 * at_s + 1.0).cos()];
+        let rates_mps = speeds(at_s);
+        // A sum of uniform numbers is nearly normal.
+        let mut noise = || {
+            let mut uniform = || {
+                random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+                (random >> 11) as f64 / (1_u64 << 53) as f64 - 0.5
+            };
+            noise_m * (0..12).map(|_| uniform()).sum::<f64>()
+        };
+        let shown = gaps_m.map(|gap_m| ((gap_m + noise()) / resolution_m).round() * resolution_m);
+        text += &format!("{at_s},{},{},{},{},20\n", shown[0], shown[1], rates_mps[0], rates_mps[1]);
+        let next_mps = speeds(at_s + 0.1);
+        for (gap_m, (rate_mps, next_mps)) in gaps_m.iter_mut().zip(rates_mps.into_iter().zip(next_mps)) {
+            *gap_m += 0.05 * (rate_mps + next_mps);
+        }
+    }
+    text
+}
+
+fn contradictions(text: &str, gap: &str, closing: &str) -> Vec<String> {
+    let map = format!(
+        "version = 1\nname = \"a\"\ntime.clock = {{ column = \"t\" }}\n[layout.pairs]\n\
+         spacing = {{ column = \"{gap}\" }}\nfollower_speed = {{ column = \"v\" }}\n\
+         relative_speed = {{ column = \"{closing}\" }}\n"
+    );
+    let map = RecordingMap::from_toml(&map, Path::new("a.toml")).expect("a map");
+    let recording = read(text.as_bytes(), Path::new("a.csv"), Some(&map)).expect("readable");
+    let dropped = recording.dropped.iter().filter(|one| matches!(one.omission, Omission::ColumnsContradict(_)));
+    dropped.map(ToString::to_string).collect()
+}
+
+/// The rear gap with the closing speed ahead is wrong by about 1 m/s; noise of a gap is no contradiction.
+#[test]
+fn columns_of_different_vehicles_are_reported_and_noise_is_not() {
+    for (noise_m, resolution_m) in
+        [(0.0, 1e-3), (0.1, 1e-3), (0.3, 1e-3), (0.5, 1e-3), (1.0, 1e-3), (0.0, 1.0), (0.1, 0.5)]
+    {
+        let text = two_gaps(noise_m, resolution_m);
+        for (gap, closing) in [("front", "front_closing"), ("rear", "rear_closing")] {
+            assert_eq!(contradictions(&text, gap, closing), Vec::<String>::new(), "{noise_m} {resolution_m} {gap}");
+        }
+        for (gap, closing) in [("rear", "front_closing"), ("front", "rear_closing")] {
+            let found = contradictions(&text, gap, closing);
+            let expected = format!("the change of {gap} is");
+            assert!(found.len() == 1 && found[0].contains(&expected), "{noise_m} {resolution_m} {gap}: {found:?}");
+            assert!(found[0].ends_with("no other unit or sign explains this"), "{found:?}");
+        }
+    }
+}

@@ -127,7 +127,7 @@ pub enum BinaryProblem {
     /// A damaged or unsupported Parquet file.
     #[cfg(feature = "parquet")]
     #[error("the Parquet file cannot be read: {0}")]
-    Parquet(String),
+    Parquet(#[from] super::parquet::ParquetError),
 }
 
 /// A problem of a line.
@@ -192,6 +192,14 @@ pub enum ColumnProblem {
     UnknownUnit {
         /// Name of the unit.
         unit: String,
+    },
+    /// A unit in the name of a column that differs from that of the map.
+    #[error("its name states the unit `{in_name}`, but the map states `{in_map}`: correct the map")]
+    OtherUnit {
+        /// Unit in the name.
+        in_name: &'static str,
+        /// Unit in the map.
+        in_map: &'static str,
     },
     /// Two columns of one name.
     #[error("named twice")]

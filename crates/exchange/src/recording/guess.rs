@@ -8,9 +8,10 @@ use super::load::load_first_rows;
 use super::map::{
     ClockSpec, LayoutSpec, LengthColumnSpec, LengthSpec, LengthUnit, PairsSpec, PositionSpec, RecordingMap,
     RecordingMapSpec, ReferencePoint, RelativeSpeedSpec, Sign, Spacing, SpacingSpec, SpeedSpec, SpeedUnit, TimeSpec,
-    TimeUnit, TracksSpec, plain_unit,
+    TimeUnit, TracksSpec, unit_in_name, words,
 };
-use super::{LineProblem, Recording, binary};
+use super::series::NOT_LATER;
+use super::{LineProblem, RecordedTraffic, Recording, binary};
 
 /// Words in the names of columns, in lower case.
 const TIMES: &str = "time timestamp t zeit sec seconds";
@@ -20,7 +21,7 @@ const SPEEDS: &str = "speed velocity vel v geschwindigkeit mps kmh kph mph xvelo
 const LEADERS: &str = "lead leader target front preceding ahead object obj tgt vl vlead vorn vorne voraus \
     vorausfahrend ziel objekt";
 const VEHICLES: &str = "id vehicle track trackid vehicleid fahrzeug";
-const EVENTS: &str = "event eventid episode episodeid";
+const EVENTS: &str = "event eventid episode episodeid pair pairid";
 const LANES: &str = "lane laneid spur fahrstreifen";
 const POSITIONS: &str = "x y pos position s station localy";
 const LENGTHS: &str = "length len";
@@ -58,108 +59,142 @@ impl Columns {
 
 /// Returns the unit in the name of a column, or `other`.
 fn unit_of<U: serde::de::DeserializeOwned>(all: &[(&'static str, f64)], column: &str, other: &str) -> Option<U> {
-    let words = words(column);
-    let is_named = |(unit, _): &&(&str, f64)| {
-        let joined = unit.replace('/', "");
-        words.iter().any(|word| *word == joined || plain_unit(word) == *unit)
-    };
-    // Longer units contain shorter ones.
-    let named = all.iter().filter(is_named).max_by_key(|(unit, _)| unit.len());
-    serde_json::from_value(named.map_or(other, |(unit, _)| unit).into()).ok()
+    serde_json::from_value(unit_in_name(all, column).map_or(other, |(unit, _)| unit).into()).ok()
 }
 
-/// Splits a name into words in lower case, at punctuation and where capitals begin; also the words joined in pairs.
-fn words(name: &str) -> Vec<String> {
-    let mut words: Vec<String> = Vec::new();
-    let mut is_open = false;
-    let mut was_lower = false;
-    for letter in name.chars() {
-        if !letter.is_alphanumeric() {
-            is_open = false;
-        } else {
-            if !is_open || (letter.is_uppercase() && was_lower) {
-                words.push(String::new());
-            }
-            is_open = true;
-            words.iter_mut().last().into_iter().for_each(|word| word.extend(letter.to_lowercase()));
-        }
-        was_lower = letter.is_lowercase();
+/// Columns of a recording, as far as their names show them.
+struct NamedColumns<'c> {
+    time: &'c String,
+    spacing: Option<&'c String>,
+    relative: Option<&'c String>,
+    leader: Option<&'c String>,
+    own: Option<&'c String>,
+    position: Option<&'c String>,
+    event: Option<&'c String>,
+    vehicle: Option<&'c String>,
+    lane: Option<&'c String>,
+    length: Option<&'c String>,
+}
+
+impl<'c> NamedColumns<'c> {
+    /// Finds the columns; `None` without times.
+    fn find(columns: &'c Columns) -> Option<Self> {
+        let not_vehicle = [LANES, TIMES, SPEEDS, SPACINGS, LENGTHS, POSITIONS, LEADERS, EVENTS];
+        Some(Self {
+            time: columns.find(TIMES, &[SPACINGS])?,
+            spacing: columns.find(SPACINGS, &[RELATIVE, TIMES]),
+            relative: columns.find(RELATIVE, &[]),
+            leader: columns.find_both(SPEEDS, LEADERS, &[RELATIVE, SPACINGS]),
+            own: columns.find(SPEEDS, &[RELATIVE, LEADERS, TIMES, SPACINGS]),
+            position: columns.find(POSITIONS, &[SPEEDS, LEADERS]),
+            event: columns.find(EVENTS, &[TIMES]),
+            vehicle: columns.find(VEHICLES, &not_vehicle),
+            lane: columns.find(LANES, &[LEADERS]),
+            length: columns.find(LENGTHS, &[LEADERS]),
+        })
     }
-    let joined: Vec<String> = words.windows(2).map(|pair| pair.concat()).collect();
-    words.extend(joined);
-    words
+
+    /// Returns the candidate layouts with default units, the likeliest first. A row of a recording of traffic, which
+    /// has lanes, may also describe the leader.
+    fn layouts(&self, speed_unit: &str, length_unit: &str) -> Vec<LayoutSpec> {
+        let (pairs, tracks) = (self.pairs(speed_unit, length_unit), self.tracks(speed_unit, length_unit));
+        if self.lane.is_some() {
+            tracks.into_iter().chain(pairs).collect()
+        } else {
+            pairs.into_iter().chain(tracks).collect()
+        }
+    }
+
+    fn pairs(&self, speed_unit: &str, length_unit: &str) -> Vec<LayoutSpec> {
+        let Self { relative, leader, own, .. } = *self;
+        let Some(spacing) = self.spacing else { return Vec::new() };
+        let exchanges = [
+            (own, leader, Sign::LeaderMinusFollower),
+            (own, leader, Sign::FollowerMinusLeader),
+            (leader, own, Sign::LeaderMinusFollower),
+            (leader, own, Sign::FollowerMinusLeader),
+        ];
+        let pair = |(own, leader, sign): (Option<&String>, Option<&String>, Sign)| {
+            let unit = unit_of(LengthUnit::ALL, spacing, length_unit);
+            let relative = |name: &String| RelativeSpeedSpec {
+                column: name.clone(),
+                unit: unit_of(SpeedUnit::ALL, name, speed_unit),
+                sign,
+            };
+            LayoutSpec::Pairs(PairsSpec {
+                event: self.event.cloned(),
+                spacing: SpacingSpec { column: spacing.clone(), unit, from: Spacing::BumperToBumper },
+                length_m: None,
+                follower_speed: own.map(|name| speed(name, speed_unit)),
+                leader_speed: leader.map(|name| speed(name, speed_unit)),
+                relative_speed: self.relative.map(relative),
+            })
+        };
+        let has_two = [relative, leader, own].into_iter().flatten().count() >= 2;
+        exchanges.into_iter().filter(|_| has_two).map(pair).collect()
+    }
+
+    fn tracks(&self, speed_unit: &str, length_unit: &str) -> Option<LayoutSpec> {
+        let (vehicle, position, own) = (self.vehicle?, self.position?, self.own?);
+        let unit = |name: &str| unit_of(LengthUnit::ALL, name, length_unit);
+        let length = self.length.map(|name| LengthColumnSpec { name: name.clone(), unit: unit(name) });
+        Some(LayoutSpec::Tracks(TracksSpec {
+            vehicle: vehicle.clone(),
+            lane: self.lane.cloned(),
+            position: PositionSpec { column: position.clone(), unit: unit(position), of: ReferencePoint::Front },
+            speed: speed(own, speed_unit),
+            length: length.map_or(LengthSpec::Metres(super::CAR_LENGTH_M), LengthSpec::Column),
+            lane_blip_s: 0.5,
+        }))
+    }
+}
+
+fn speed(column: &str, unit: &str) -> SpeedSpec {
+    SpeedSpec { column: column.to_owned(), unit: unit_of(SpeedUnit::ALL, column, unit), acceleration: None }
 }
 
 /// Returns the candidate maps, the likeliest first: without units, if the file states them.
 fn candidates(columns: &Columns, states_units: bool) -> Vec<RecordingMapSpec> {
-    let Some(time) = columns.find(TIMES, &[SPACINGS]) else { return Vec::new() };
-    let spacing = columns.find(SPACINGS, &[RELATIVE, TIMES]);
-    let relative = columns.find(RELATIVE, &[]);
-    let leader = columns.find_both(SPEEDS, LEADERS, &[RELATIVE, SPACINGS]);
-    let own = columns.find(SPEEDS, &[RELATIVE, LEADERS, TIMES, SPACINGS]);
-    let position = columns.find(POSITIONS, &[SPEEDS]);
-    let event = columns.find(EVENTS, &[TIMES]);
-    let mut maps = Vec::new();
+    let Some(named) = NamedColumns::find(columns) else { return Vec::new() };
     // Epoch times need no name.
-    let time_unit = unit_of(TimeUnit::ALL, time, "").filter(|unit| *unit != TimeUnit::Seconds);
+    let time_unit = unit_of(TimeUnit::ALL, named.time, "").filter(|unit| *unit != TimeUnit::Seconds);
     let with_stated = |units: &[(&'static str, f64)]| {
         states_units.then_some("").into_iter().chain(units.iter().map(|(unit, _)| *unit)).collect::<Vec<_>>()
     };
+    let mut layouts: Vec<LayoutSpec> = Vec::new();
     for speed_unit in with_stated(SpeedUnit::ALL) {
         for length_unit in with_stated(LengthUnit::ALL) {
-            let speed_unit = |column: &str| unit_of(SpeedUnit::ALL, column, speed_unit);
-            let length_unit = |column: &str| unit_of(LengthUnit::ALL, column, length_unit);
-            let speed =
-                |column: &String| SpeedSpec { column: column.clone(), unit: speed_unit(column), acceleration: None };
-            let from = Spacing::BumperToBumper;
-            let mut add = |layout| {
-                let time = TimeSpec::Clock(ClockSpec { column: time.clone(), unit: time_unit });
-                let map = RecordingMapSpec::new("draft".to_owned(), time, layout);
-                if !maps.contains(&map) {
-                    maps.push(map);
+            for layout in named.layouts(speed_unit, length_unit) {
+                if !layouts.contains(&layout) {
+                    layouts.push(layout);
                 }
-            };
-            let vehicle = columns.find(VEHICLES, &[LANES, TIMES, SPEEDS, SPACINGS, LENGTHS, POSITIONS]);
-            if let (Some(vehicle), Some(position), Some(own)) = (vehicle, position, own) {
-                let length = columns.find(LENGTHS, &[]);
-                let length = length.map(|name| LengthColumnSpec { name: name.clone(), unit: length_unit(name) });
-                add(LayoutSpec::Tracks(TracksSpec {
-                    vehicle: vehicle.clone(),
-                    lane: columns.find(LANES, &[]).cloned(),
-                    position: PositionSpec {
-                        column: position.clone(),
-                        unit: length_unit(position),
-                        of: ReferencePoint::Front,
-                    },
-                    speed: speed(own),
-                    length: length.map_or(LengthSpec::Metres(super::CAR_LENGTH_M), LengthSpec::Column),
-                    lane_blip_s: 0.5,
-                }));
-                continue;
-            }
-            let Some(spacing) = spacing else { continue };
-            for (own, leader, sign) in [
-                (own, leader, Sign::LeaderMinusFollower),
-                (own, leader, Sign::FollowerMinusLeader),
-                (leader, own, Sign::LeaderMinusFollower),
-                (leader, own, Sign::FollowerMinusLeader),
-            ] {
-                add(LayoutSpec::Pairs(PairsSpec {
-                    event: event.cloned(),
-                    spacing: SpacingSpec { column: spacing.clone(), unit: length_unit(spacing), from },
-                    length_m: None,
-                    follower_speed: own.map(speed),
-                    leader_speed: leader.map(speed),
-                    relative_speed: relative.map(|name| RelativeSpeedSpec {
-                        column: name.clone(),
-                        unit: speed_unit(name),
-                        sign,
-                    }),
-                }));
             }
         }
     }
-    maps
+    // The layout weighs more than the units: a recording of pairs may contradict a map of tracks in no unit.
+    let is_tracks = |layout: &LayoutSpec| matches!(layout, LayoutSpec::Tracks(_));
+    let has_tracks_first = layouts.first().is_some_and(is_tracks);
+    layouts.sort_by_key(|layout| is_tracks(layout) != has_tracks_first);
+    let map = |layout| {
+        let time = TimeSpec::Clock(ClockSpec { column: named.time.clone(), unit: time_unit });
+        RecordingMapSpec::new("draft".to_owned(), time, layout)
+    };
+    layouts.into_iter().map(map).collect()
+}
+
+/// Returns whether a recording fits its map: no columns contradict each other, the rows of pairs are in order of time,
+/// and in tracks one vehicle follows another.
+fn is_consistent(recording: &Recording) -> bool {
+    let samples: usize = recording.platoons.iter().map(|platoon| platoon.time_s.len()).sum();
+    let contradicts = |what: &Omission| match what {
+        Omission::ColumnsContradict(_) => true,
+        Omission::Counted { count, after, .. } => {
+            after.ends_with(SPEEDS_LEFT_OUT) || after.starts_with(NOT_LATER) && *count > samples / 10
+        }
+        _ => false,
+    };
+    let has_followers = recording.traffic.as_ref().is_none_or(RecordedTraffic::has_followers);
+    has_followers && !recording.dropped.iter().any(|dropped| contradicts(&dropped.omission))
 }
 
 /// Drafts a map of a recording: the first candidate whose columns do not contradict each other. Units in names of
@@ -184,11 +219,7 @@ pub fn guess(path: &Path) -> Result<Option<MapDraft>, RecordingError> {
         let Ok(checked) = RecordingMap::new(map.clone()) else { continue };
         match load_first_rows(path, &checked) {
             Ok(recording) => {
-                let contradicts = |what: &Omission| {
-                    matches!(what, Omission::ColumnsContradict(_))
-                        || matches!(what, Omission::Counted { after, .. } if after.ends_with(SPEEDS_LEFT_OUT))
-                };
-                let is_consistent = !recording.dropped.iter().any(|dropped| contradicts(&dropped.omission));
+                let is_consistent = is_consistent(&recording);
                 let draft = MapDraft { map, built_in: None, recording };
                 if is_consistent {
                     return Ok(Some(draft));
@@ -257,5 +288,46 @@ mod tests {
                 assert_eq!(*again.spec(), draft.map);
             }
         }
+    }
+
+    /// A row of a vehicle and its leader has ids and positions, too, and one of traffic may describe the leader.
+    #[test]
+    fn drafts_tell_pairs_from_tracks() {
+        let folder = tempfile::tempdir().unwrap();
+        let draft = |text: String| {
+            let path = folder.path().join("log.csv");
+            std::fs::write(&path, text).unwrap();
+            guess(&path).unwrap().expect("a draft").map.layout
+        };
+        let speeds = |at_s: f64| [20.0 + 2.0 * (0.4 * at_s).sin(), 20.0 + 2.0 * (0.4 * at_s - 0.8).sin()];
+        let position = |index: usize, tenth: usize| {
+            let steps = (0..tenth).map(|step| 0.1 * speeds(step as f64 / 10.0)[index]);
+            steps.sum::<f64>() - 30.0 * index as f64
+        };
+        let row = |tenth: usize| {
+            let ([lead, own], at_s) = (speeds(tenth as f64 / 10.0), tenth as f64 / 10.0);
+            (at_s, position(0, tenth), position(1, tenth), lead, own)
+        };
+        let pairs: String = (0..300)
+            .map(row)
+            .map(|(at_s, lead_m, own_m, lead, own)| {
+                format!("{at_s},7,8,{own_m},{lead_m},{own},{lead},{}\n", lead_m - own_m - 5.0)
+            })
+            .collect();
+        let layout = draft(format!("time,vehicle_id,leader_id,x,x_leader,speed,leader_speed,gap\n{pairs}"));
+        let LayoutSpec::Pairs(pairs) = layout else { panic!("{layout:?}") };
+        assert_eq!(
+            (pairs.follower_speed.unwrap().column, pairs.leader_speed.unwrap().column, pairs.spacing.column),
+            ("speed".to_owned(), "leader_speed".to_owned(), "gap".to_owned())
+        );
+        let tracks: String = (0..300)
+            .map(row)
+            .map(|(at_s, lead_m, own_m, lead, own)| {
+                let gap_m = lead_m - own_m - 5.0;
+                format!("{at_s},7,1,{lead_m},{lead},,\n{at_s},8,1,{own_m},{own},{lead},{gap_m}\n")
+            })
+            .collect();
+        let layout = draft(format!("time,vehicle_id,lane,x,speed,leader_speed,gap\n{tracks}"));
+        assert!(matches!(layout, LayoutSpec::Tracks(_)), "{layout:?}");
     }
 }

@@ -22,6 +22,8 @@ mod exposure;
 pub mod guess;
 mod import;
 mod lead_vehicles;
+#[cfg(any(feature = "mdf", feature = "parquet"))]
+mod limits;
 mod load;
 pub mod map;
 #[cfg(test)]
@@ -35,7 +37,7 @@ mod number;
 mod pair_checks;
 mod pairs;
 #[cfg(feature = "parquet")]
-mod parquet_rows;
+pub mod parquet;
 mod parts;
 #[cfg(test)]
 mod parts_tests;

@@ -12,7 +12,7 @@ use super::acceleration::AccelerationCheck;
 use super::consistency::Comparison;
 use super::dropped::{DroppedItem, Omission, SPEEDS_LEFT_OUT, format_fixed};
 use super::error::{ColumnProblem, RecordingError};
-use super::map::{LengthUnit, PairsSpec, RecordingMapSpec, Sign, SpeedSpec, SpeedUnit};
+use super::map::{ColumnUnit, LengthUnit, PairsSpec, RecordingMapSpec, Sign, SpeedSpec, SpeedUnit};
 use super::parts::{PART_ROWS, PartBounds, PartSink};
 use super::series::{Clock, ColumnQuantity, Series, interpolate_holes};
 use super::table::{CsvColumn, CsvRow, RowReader, excerpt};
@@ -21,6 +21,8 @@ use super::{RecordedPlatoon, RecordedVehicle, Recording, TextFormat};
 
 /// Largest contradiction of the three speeds due to rounding and filtering, in m/s.
 const SPEED_TOLERANCE_MPS: f64 = 0.1;
+/// Number of rows that take as much memory as an event without rows.
+const EVENT_ROWS: usize = 8;
 /// Maximum number of events of a file. Each takes about 50 bytes beside its samples.
 const MAX_EVENTS: usize = 1_000_000;
 
@@ -89,15 +91,15 @@ pub(super) struct EventReader<'m> {
 impl<'m> EventReader<'m> {
     fn new(spec: (&'m RecordingMapSpec, &'m PairsSpec), names: &CsvRow<'_>) -> Result<Self, RecordingError> {
         let (map, pairs) = spec;
-        let series = |name: &str, factor, quantity| Ok(Series::new(CsvColumn::find(names, name, factor)?, quantity));
+        let series = |name: &str, unit, quantity| Ok(Series::new(CsvColumn::find(names, name, unit)?, quantity));
         let speed = |speed: &Option<SpeedSpec>| {
             speed
                 .as_ref()
-                .map(|one| series(&one.column, one.unit.map(SpeedUnit::factor), ColumnQuantity::Speed))
+                .map(|one| series(&one.column, SpeedUnit::of_column(one.unit), ColumnQuantity::Speed))
                 .transpose()
         };
         let relative = pairs.relative_speed.as_ref().map(|one| {
-            let mut relative = series(&one.column, one.unit.map(SpeedUnit::factor), ColumnQuantity::Signed)?;
+            let mut relative = series(&one.column, SpeedUnit::of_column(one.unit), ColumnQuantity::Signed)?;
             relative.column.factor *= if one.sign == Sign::LeaderMinusFollower { 1.0 } else { -1.0 };
             Ok(relative)
         });
@@ -109,12 +111,12 @@ impl<'m> EventReader<'m> {
             platoons: Vec::new(),
             finished_rows: 0,
             bounds: PartBounds::new(3),
-            column: pairs.event.as_ref().map(|name| CsvColumn::find(names, name, Some(1.0))).transpose()?,
+            column: pairs.event.as_ref().map(|name| CsvColumn::find(names, name, ColumnUnit::None)).transpose()?,
             event: None,
             finished: HashMap::new(),
             clock: Clock::find(names, &map.time)?,
             samples: PairSamples::default(),
-            gap: series(&pairs.spacing.column, pairs.spacing.unit.map(LengthUnit::factor), ColumnQuantity::Gap)?,
+            gap: series(&pairs.spacing.column, LengthUnit::of_column(pairs.spacing.unit), ColumnQuantity::Gap)?,
             follower: speed(&pairs.follower_speed)?,
             relative: relative.transpose()?,
             leader: speed(&pairs.leader_speed)?,
@@ -161,7 +163,7 @@ impl<'m> EventReader<'m> {
         };
         self.gap_change.add((now_s, row.line), gap_m, rates_mps);
         if let (Some(follower), Some(relative), Some(leader)) = speeds {
-            self.closing.add_instant(row.line, [relative, leader, -follower]);
+            self.closing.add_instant((now_s, row.line), [relative, leader, -follower]);
         }
         for (acceleration, speed_mps) in self.accelerations.iter_mut().zip([follower_mps, leader_mps]) {
             if let Some(acceleration) = acceleration {
@@ -242,7 +244,7 @@ impl<'m> EventReader<'m> {
     }
 
     fn add_platoons(&mut self, event: &str, core_ms: Range<i64>, mut samples: PairSamples) {
-        self.finished_rows += samples.time_s.len();
+        self.finished_rows += EVENT_ROWS + samples.time_s.len();
         let PairSamples { time_s, line, gaps_m, followers_mps, leaders_mps } = &mut samples;
         for (values, interpolated) in [gaps_m, followers_mps, leaders_mps].into_iter().zip(&mut self.interpolated) {
             if let Some((count, first)) = interpolate_holes(values, time_s, self.spec.0.interpolate_s) {

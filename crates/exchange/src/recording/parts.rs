@@ -12,8 +12,10 @@ pub(super) const PART_ROWS: usize = 500_000;
 pub(super) const PART_ROWS: usize = 20_000;
 /// Number of speeds and gaps in the core of a part.
 const PART_VALUES: usize = 4 * PART_ROWS;
-/// Largest number of rows of a part. Margins of dense traffic are shorter, so that only rows of one time exceed it.
+/// Largest number of rows of a part. Margins of dense traffic are shorter, so that only filled rows exceed it.
 pub(super) const MAX_POINTS: usize = 5 * PART_ROWS;
+/// Largest number of rows at one time, as many as vehicles.
+pub(super) const MAX_SIMULTANEOUS: usize = 2 * PART_ROWS;
 /// Time of a margin, in milliseconds: longer than a braking episode with its reaction.
 pub(super) const MARGIN_MS: i64 = 60_000;
 

@@ -142,6 +142,6 @@ fn memory_is_bounded_for_dense_traffic() {
         parts(&|row| row % 500, 0.0, MAX_POINTS + PART_ROWS).unwrap_err(),
         parts(&|row| row, 0.5, 3 * PART_ROWS).unwrap_err(),
     ];
-    assert!(refusals[0].contains("more than 100000 rows at one time"), "{refusals:?}");
+    assert!(refusals[0].contains("more than 40000 rows at one time"), "{refusals:?}");
     assert!(refusals[1].contains("dense.csv:40002: more than 40000 vehicles"), "{refusals:?}");
 }

@@ -62,11 +62,11 @@ impl PlatoonColumns {
         let time = Clock::find(names, &map.time)?;
         let (mut speeds, mut gaps) = (BTreeMap::new(), BTreeMap::new());
         for (index, name) in names.fields.iter().enumerate().filter(|(index, _)| *index != time.column.index) {
-            let column = |factor| names.column(index, factor);
+            let column = |unit| names.column(index, unit);
             let before = if let Some(number) = column_number(name, &platoon.speed.column) {
-                speeds.insert(number, column(platoon.speed.unit.map(SpeedUnit::factor))?)
+                speeds.insert(number, column(SpeedUnit::of_column(platoon.speed.unit))?)
             } else if let Some(number) = column_number(name, &platoon.spacing.column) {
-                gaps.insert(number, column(platoon.spacing.unit.map(LengthUnit::factor))?)
+                gaps.insert(number, column(LengthUnit::of_column(platoon.spacing.unit))?)
             } else {
                 None
             };

@@ -5,7 +5,7 @@ use std::path::Path;
 
 use super::dropped::{CHECK_UNIT, DroppedItem, Omission, format_fixed};
 use super::error::{ColumnProblem, RecordingError};
-use super::map::{ClockSpec, TimeSpec};
+use super::map::{ClockSpec, ColumnUnit, TimeSpec, TimeUnit};
 use super::number::parse_iso_s;
 use super::table::{CsvColumn, CsvRow, excerpt};
 use crumple_world::scenario::format_compact;
@@ -20,6 +20,8 @@ const MAX_GAP_M: f64 = 1000.0;
 const MAX_SPEED_MPS: f64 = 100.0;
 /// Speeds above are reported, because their unit may be wrong, in m/s.
 const MAX_USUAL_SPEED_MPS: f64 = 50.0;
+/// Part of the sentence about rows that are not in the order of time.
+pub(super) const NOT_LATER: &str = " rows are not later than the row before and were left out, the first one here";
 /// Shortest and longest vehicle of a scenario, in metres.
 const LENGTH_RANGE_M: [f64; 2] = [0.1, 100.0];
 
@@ -53,19 +55,19 @@ enum ClockFormat {
 
 impl Clock {
     pub(super) fn find(names: &CsvRow<'_>, time: &TimeSpec) -> Result<Self, RecordingError> {
-        let (column, factor, format) = match time {
-            TimeSpec::Clock(ClockSpec { column, unit: Some(unit) }) => (column, unit.factor(), ClockFormat::Stated),
-            TimeSpec::Clock(ClockSpec { column, unit: None }) => (column, 1.0, ClockFormat::Unit("s")),
-            TimeSpec::Frames(frames) => (&frames.column, 1.0 / frames.rate_hz, ClockFormat::Stated),
+        let (column, unit) = match time {
+            TimeSpec::Clock(clock) => (&clock.column, TimeUnit::of_column(clock.unit)),
+            TimeSpec::Frames(frames) => (&frames.column, ColumnUnit::Frames(1.0 / frames.rate_hz)),
         };
-        Ok(Self {
-            column: CsvColumn::find(names, column, Some(factor))?,
-            last_s: None,
-            not_later: None,
-            restarts: None,
-            format,
-            is_first: true,
-        })
+        let column = CsvColumn::find(names, column, unit)?;
+        let format = match time {
+            // Times in seconds may count from 1970, in a smaller unit.
+            TimeSpec::Clock(ClockSpec { unit: None, .. }) if column.unit_in_name.is_none_or(|unit| unit == "s") => {
+                ClockFormat::Unit("s")
+            }
+            _ => ClockFormat::Stated,
+        };
+        Ok(Self { column, last_s: None, not_later: None, restarts: None, format, is_first: true })
     }
 
     /// Returns the format that the first row shows, unless the map states the unit.
@@ -133,13 +135,9 @@ impl Clock {
         if let Some(before_s) = self.last_s
             && round_to_milli(found_s) <= round_to_milli(before_s)
         {
-            let after = " rows are not later than the row before and were left out, the first one here";
             let first = || {
-                Omission::counted(
-                    format!("{}: ", self.column.name),
-                    0,
-                    format!("{after} ({found_s} s after {before_s} s)"),
-                )
+                let after = format!("{NOT_LATER} ({found_s} s after {before_s} s)");
+                Omission::counted(format!("{}: ", self.column.name), 0, after)
             };
             row.count(&mut self.not_later, first);
             return false;

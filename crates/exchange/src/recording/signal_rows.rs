@@ -1,8 +1,9 @@
 //! Rows of signals with several clocks: at the times of the spacings or positions, with all others interpolated.
 
 use super::error::BinaryProblem;
+use super::limits;
 use super::map::{RecordingMapSpec, TimeSpec};
-use super::mdf::{Signal, SignalStream};
+use super::mdf::{MdfError, Signal, SignalStream};
 use super::table::BinaryRows;
 use super::text_rows::Fields;
 
@@ -14,6 +15,8 @@ pub(super) struct ResampledSignals {
     /// Clock of the rows, and number of the next row.
     base: usize,
     row: usize,
+    /// Number of rows that the file may still have.
+    rows_left: u64,
     /// Time of the row before, in seconds.
     row_s: Option<f64>,
     /// Index of the last time of each clock that is not after the row.
@@ -33,13 +36,16 @@ impl ResampledSignals {
         let is_id =
             signals.signals.iter().map(|one| map.column_role(&one.name).is_some_and(|role| role.is_id)).collect();
         let (time, time_unit_s) = match &map.time {
-            TimeSpec::Clock(clock) => (Some(clock.column.as_str()), Some(clock.unit.map_or(1.0, |unit| unit.factor()))),
+            TimeSpec::Clock(clock) => {
+                (Some(clock.column.as_str()), Some(clock.unit.map_or(1.0, |unit| unit.seconds())))
+            }
             TimeSpec::Frames(_) => (None, None),
         };
         let names = time.into_iter().chain(signals.signals.iter().map(|signal| signal.name.as_str())).collect();
         let units = time.map(|_| "").into_iter().chain(signals.signals.iter().map(|one| one.unit.as_str())).collect();
         let last = vec![0; signals.clocks_s.len()];
-        (Self { stream, base, row: 0, row_s: None, last, is_id, time_unit_s }, names, units)
+        let rows_left = limits::max_rows(stream.file_bytes());
+        (Self { stream, base, row: 0, rows_left, row_s: None, last, is_id, time_unit_s }, names, units)
     }
 
     /// Returns the value of a signal at a time, between the last time of its clock that is not later and the next.
@@ -78,13 +84,18 @@ impl ResampledSignals {
                 let mut counts = self.last.clone();
                 if let Some(count) = counts.get_mut(self.base) {
                     *count = self.row.saturating_sub(1).min(*count);
-                    self.row -= *count;
                 }
+                // Values are moved in memory, so few of them are not worth it.
+                for (count, clock) in counts.iter_mut().zip(&self.stream.set.clocks_s) {
+                    *count = if *count * 4 < clock.len() { 0 } else { *count };
+                }
+                self.row -= counts.get(self.base).copied().unwrap_or(0);
                 self.stream.set.forget(&counts, self.row_s);
                 self.last.iter_mut().zip(counts).for_each(|(last, count)| *last -= count);
             }
             loop {
                 if !self.stream.advance()? {
+                    self.stream.check_frames()?;
                     return Ok(self.stream.set.clocks_s.get(self.base).and_then(|clock| clock.get(self.row)).copied());
                 }
                 if self.stream.is_full() {
@@ -99,6 +110,9 @@ impl BinaryRows for ResampledSignals {
     fn next_row(&mut self, texts: &mut Fields, numbers: &mut Vec<f64>) -> Result<bool, BinaryProblem> {
         let Some(at_s) = self.next_time_s()? else { return Ok(false) };
         self.row += 1;
+        let limit = limits::max_rows(self.stream.file_bytes());
+        let too_large = MdfError::TooLarge { limit, what: "rows, one for each spacing or position" };
+        self.rows_left = self.rows_left.checked_sub(1).ok_or(too_large)?;
         for (last, times_s) in self.last.iter_mut().zip(&self.stream.set.clocks_s) {
             while times_s.get(*last + 1).is_some_and(|next_s| *next_s <= at_s) {
                 *last += 1;
@@ -109,12 +123,12 @@ impl BinaryRows for ResampledSignals {
             *last = self.row - 1;
         }
         if let Some(unit_s) = self.time_unit_s {
-            texts.push("");
+            texts.push_field("");
             numbers.push(at_s / unit_s);
         }
         for (signal, &is_id) in self.stream.set.signals.iter().zip(&self.is_id) {
             let value = self.value(signal, is_id, at_s);
-            texts.push(&if is_id && value.is_finite() { value.to_string() } else { String::new() });
+            texts.push_field(&if is_id && value.is_finite() { value.to_string() } else { String::new() });
             numbers.push(value);
         }
         Ok(true)

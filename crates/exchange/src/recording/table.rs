@@ -5,7 +5,9 @@ use std::path::Path;
 
 use super::dropped::{DroppedItem, Omission};
 use super::error::{BinaryProblem, ColumnProblem, LineProblem, RecordingError};
-use super::map::{DecimalMark, RecordingMapSpec, factor_by_name};
+use super::map::{
+    ColumnUnit, DecimalMark, RecordingMapSpec, factor_by_name, is_same_name, other_unit_in_name, unit_in_name,
+};
 use super::number::parse_number;
 use super::text::TextFormat;
 use super::text_rows::{Fields, TextRows};
@@ -73,7 +75,7 @@ impl<'a> RowReader<'a> {
     /// Returns the next row with trimmed fields, such as column names.
     pub(super) fn next_header(&mut self) -> Result<Option<CsvRow<'a>>, RecordingError> {
         let mut row = self.next_row()?.cloned();
-        row.iter_mut().for_each(|row| row.fields = row.fields.trimmed());
+        row.iter_mut().for_each(|row| row.fields.trim());
         Ok(row)
     }
 
@@ -217,13 +219,36 @@ impl<'a> CsvRow<'a> {
         }
     }
 
-    /// Returns the column at a place of a row of names. Without `factor`, its unit is that in the file.
-    pub(super) fn column(&self, index: usize, factor: Option<f64>) -> Result<CsvColumn, RecordingError> {
-        let name = excerpt(self.fields.get(index).unwrap_or_default());
-        let unit = self.units.get(index).unwrap_or_default();
-        match factor.or_else(|| if is_missing(unit) { Some(1.0) } else { factor_by_name(unit) }) {
-            Some(factor) => Ok(CsvColumn { name, index, factor }),
-            None => self.reject(&name, ColumnProblem::UnknownUnit { unit: excerpt(unit) }),
+    /// Returns the column at a place of a row of names. If the map states no unit, it has that of the file, or that in
+    /// its name.
+    pub(super) fn column(&self, index: usize, unit: ColumnUnit) -> Result<CsvColumn, RecordingError> {
+        let full_name = self.fields.get(index).unwrap_or_default();
+        let name = excerpt(full_name);
+        let column = |factor, unit_in_name| CsvColumn { name: name.clone(), index, factor, unit_in_name };
+        let (units, stated) = match unit {
+            ColumnUnit::None => return Ok(column(1.0, None)),
+            ColumnUnit::Frames(interval_s) => return Ok(column(interval_s, None)),
+            ColumnUnit::Quantity { units, stated } => (units, stated),
+        };
+        let in_file = self.units.get(index).filter(|unit| !is_missing(unit));
+        let named = unit_in_name(units, full_name).filter(|_| in_file.is_none());
+        let other = other_unit_in_name(full_name).filter(|_| in_file.is_none());
+        match (stated, in_file, named, other) {
+            (Some((in_map, _)), _, _, Some(in_name)) => {
+                self.reject(&name, ColumnProblem::OtherUnit { in_name, in_map })
+            }
+            (Some((in_map, factor)), _, Some((in_name, other)), _) if other != factor => {
+                self.reject(&name, ColumnProblem::OtherUnit { in_name, in_map })
+            }
+            (Some((_, factor)), ..) => Ok(column(factor, None)),
+            (None, Some(unit), ..) => match factor_by_name(unit) {
+                Some(factor) => Ok(column(factor, None)),
+                None => self.reject(&name, ColumnProblem::UnknownUnit { unit: excerpt(unit) }),
+            },
+            (None, None, _, Some(unit)) => self.reject(&name, ColumnProblem::UnknownUnit { unit: unit.to_owned() }),
+            (None, None, named, None) => {
+                Ok(column(named.map_or(1.0, |(_, factor)| factor), named.map(|(unit, _)| unit)))
+            }
         }
     }
 
@@ -273,13 +298,23 @@ pub(super) struct CsvColumn {
     pub(super) index: usize,
     /// Size of its unit in seconds, metres or metres per second.
     pub(super) factor: f64,
+    /// Unit that its name states, if the map states none.
+    pub(super) unit_in_name: Option<&'static str>,
 }
 
 impl CsvColumn {
-    pub(super) fn find(names: &CsvRow<'_>, name: &str, factor: Option<f64>) -> Result<Self, RecordingError> {
-        let mut found = names.fields.iter().enumerate().filter(|(_, known)| *known == name);
-        match (found.next(), found.next()) {
-            (Some((index, _)), None) => names.column(index, factor),
+    /// Finds a column by its name. Capital letters matter only if two names differ by nothing else.
+    pub(super) fn find(names: &CsvRow<'_>, name: &str, unit: ColumnUnit) -> Result<Self, RecordingError> {
+        let find_by = |is: &dyn Fn(&str) -> bool| {
+            let mut found = names.fields.iter().enumerate().filter(|(_, known)| is(known)).map(|(index, _)| index);
+            (found.next(), found.next())
+        };
+        let found = match find_by(&|known| known == name) {
+            (None, _) => find_by(&|known| is_same_name(known, name)),
+            exact => exact,
+        };
+        match found {
+            (Some(index), None) => names.column(index, unit),
             (Some(_), Some(_)) => names.reject(&excerpt(name), ColumnProblem::Repeated),
             (None, _) => {
                 let known = excerpt(&names.fields.iter().collect::<Vec<_>>().join(", "));

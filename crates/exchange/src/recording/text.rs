@@ -29,6 +29,10 @@ pub struct TextFormat {
     pub time: Option<&'static str>,
     /// True if the map states the separator, and the mark.
     pub(super) stated: [bool; 2],
+    /// True if the first line only states the separator, such as `sep=;`, as spreadsheets write it.
+    pub(super) has_separator_line: bool,
+    /// True if blanks precede quotation marks at the start of fields.
+    pub(super) has_blanks_before_quotes: bool,
 }
 
 /// Writes what crumple detected, unless it is the default.
@@ -56,7 +60,11 @@ impl TextFormat {
     pub(super) fn detect(sample: &str, map: Option<&RecordingMapSpec>) -> Self {
         let (delimiter, decimal) = map.map_or((None, None), |map| (map.delimiter, map.decimal));
         let before_names = map.map_or(0, |map| map.lines_before_names);
-        let lines = || sample.trim_start_matches('\u{feff}').lines().filter(|line| !line.trim().is_empty());
+        let sample = sample.trim_start_matches('\u{feff}');
+        let in_file = stated_separator(sample);
+        let delimiter = delimiter.or(in_file);
+        let skipped = usize::from(in_file.is_some());
+        let lines = || sample.lines().filter(|line| !line.trim().is_empty()).skip(skipped);
         let is_comment = |letter: char| {
             let is_marked = |line: &str| line.starts_with(letter);
             let rows = lines().skip(before_names);
@@ -72,10 +80,12 @@ impl TextFormat {
         let splits = |of: &Delimiter| count(names, *of) > 0;
         let found = known.into_iter().find(splits_both).or_else(|| known.into_iter().find(splits));
         let separator = delimiter.or(found).unwrap_or_default();
-        let has_quotes = [names]
-            .into_iter()
-            .chain(rows.clone())
-            .any(|line| fields(line, separator).any(|field| field.trim_start().starts_with('"')));
+        let is_quoted = |field: &str| field.trim_start().starts_with('"');
+        let has_quoted = |is: &dyn Fn(&str) -> bool| {
+            [names].into_iter().chain(rows.clone()).any(|line| fields(line, separator).any(is))
+        };
+        let has_quotes = has_quoted(&is_quoted);
+        let has_blanks_before_quotes = has_quotes && has_quoted(&|field| field.starts_with(' ') && is_quoted(field));
         let mut marks = NumberMarks::default();
         for field in rows.take(MAX_SAMPLE_ROWS).flat_map(|line| fields(line, separator)) {
             marks.add(field.trim().trim_matches('"'));
@@ -87,9 +97,20 @@ impl TextFormat {
             has_quotes,
             comment,
             time: None,
-            stated: [delimiter.is_some(), decimal.is_some()],
+            stated: [delimiter.is_some() && in_file.is_none(), decimal.is_some()],
+            has_separator_line: in_file.is_some(),
+            has_blanks_before_quotes,
         }
     }
+}
+
+/// Returns the separator of a first line such as `sep=;`.
+fn stated_separator(sample: &str) -> Option<Delimiter> {
+    let line = sample.lines().next()?.trim_matches('"');
+    let (key, separator) = line.split_at_checked(4)?;
+    let known = [Delimiter::Comma, Delimiter::Semicolon, Delimiter::Tab];
+    let is_stated = |known: &Delimiter| separator.as_bytes() == [known.byte()];
+    known.into_iter().find(is_stated).filter(|_| key.eq_ignore_ascii_case("sep="))
 }
 
 /// Splits a line at separators outside of quotation marks.

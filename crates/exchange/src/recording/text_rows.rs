@@ -1,118 +1,24 @@
-//! Rows of a text: lines divided at separators outside of quotation marks.
+//! Rows of a text by RFC 4180, with any separator and line end.
 
 use std::io::{self, BufRead, Read};
 
+pub(super) use csv::StringRecord as Fields;
+use csv::{ErrorKind, Reader, ReaderBuilder, Terminator};
+
 use super::text::{TextFormat, Utf8Reader};
 
-/// Maximum length of a row, in bytes. 200 vehicles with all columns of OpenACC take about 30 kB.
-const MAX_ROW_BYTES: u64 = 1 << 20;
-
-/// Fields of a row.
-#[derive(Debug, Clone, Default)]
-pub(super) struct Fields {
-    text: String,
-    /// Start and end of each field.
-    places: Vec<(usize, usize)>,
-}
-
-impl Fields {
-    pub(super) fn len(&self) -> usize {
-        self.places.len()
-    }
-
-    pub(super) fn get(&self, index: usize) -> Option<&str> {
-        let &(from, to) = self.places.get(index)?;
-        self.text.get(from..to)
-    }
-
-    pub(super) fn iter(&self) -> impl Iterator<Item = &str> + Clone {
-        self.places.iter().map(|&(from, to)| self.text.get(from..to).unwrap_or_default())
-    }
-
-    pub(super) fn push(&mut self, field: &str) {
-        self.places.push((self.text.len(), self.text.len() + field.len()));
-        self.text += field;
-    }
-
-    pub(super) fn clear(&mut self) {
-        self.text.clear();
-        self.places.clear();
-    }
-
-    /// Returns the fields without blanks around them.
-    pub(super) fn trimmed(&self) -> Self {
-        self.iter().map(str::trim).collect()
-    }
-
-    fn split(&mut self, delimiter: u8) {
-        self.places.clear();
-        let mut from = 0;
-        for (at, _) in self.text.bytes().enumerate().filter(|(_, byte)| *byte == delimiter) {
-            self.places.push((from, at));
-            from = at + 1;
-        }
-        self.places.push((from, self.text.len()));
-    }
-
-    /// Splits at separators outside of quotation marks. Returns false if one is open at the end.
-    fn split_quoted(&mut self, delimiter: u8) -> bool {
-        self.places.clear();
-        let mut from = 0;
-        let mut doubled = Vec::new();
-        loop {
-            let rest = self.text.get(from..).unwrap_or_default();
-            let start = from + rest.len() - rest.trim_start_matches(' ').len();
-            let bytes = self.text.as_bytes();
-            let find =
-                |from: usize, byte: u8| bytes.get(from..)?.iter().position(|other| *other == byte).map(|at| from + at);
-            let end = if bytes.get(start) == Some(&b'"') {
-                let mut close = start + 1;
-                loop {
-                    let Some(mark) = find(close, b'"') else { return false };
-                    if bytes.get(mark + 1) != Some(&b'"') {
-                        close = mark;
-                        break;
-                    }
-                    doubled.push(self.places.len());
-                    close = mark + 2;
-                }
-                self.places.push((start + 1, close));
-                find(close, delimiter)
-            } else {
-                let end = find(from, delimiter);
-                self.places.push((from, end.unwrap_or(bytes.len())));
-                end
-            };
-            let Some(end) = end else { break };
-            from = end + 1;
-        }
-        for index in doubled {
-            let plain = self.get(index).unwrap_or_default().replace("\"\"", "\"");
-            if let Some(place) = self.places.get_mut(index) {
-                *place = (self.text.len(), self.text.len() + plain.len());
-            }
-            self.text += &plain;
-        }
-        true
-    }
-}
-
-impl<'t> FromIterator<&'t str> for Fields {
-    fn from_iter<T: IntoIterator<Item = &'t str>>(texts: T) -> Self {
-        let mut fields = Self::default();
-        texts.into_iter().for_each(|text| fields.push(text));
-        fields
-    }
-}
+/// Maximum length of a line, in bytes. 200 vehicles with all columns of OpenACC take about 30 kB.
+const MAX_LINE_BYTES: u64 = 1 << 20;
+/// Maximum length of a row with line ends in its fields, and the comments before it, in bytes.
+const MAX_ROW_BYTES: u64 = 16 << 20;
+const BUFFER_BYTES: usize = 64 << 10;
 
 pub(super) struct TextRows<'a> {
-    text: Utf8Reader<Box<dyn Read + 'a>>,
+    rows: Reader<LineSource<'a>>,
     format: TextFormat,
-    /// Byte that ends a line.
-    line_end: u8,
-    /// Number of lines before the next row.
-    lines: u64,
-    /// True if the last line has no end.
+    /// True until a first line such as `sep=;` was skipped.
+    skips_line: bool,
+    /// True if the last row has no line end.
     pub(super) is_cut: bool,
 }
 
@@ -121,70 +27,207 @@ impl<'a> TextRows<'a> {
     pub(super) fn new(from: impl Read + 'a, detect: impl FnOnce(&str) -> TextFormat) -> Result<Self, io::Error> {
         let mut text = Utf8Reader::new(Box::new(from) as Box<dyn Read + 'a>);
         let sample = String::from_utf8_lossy(text.fill_buf()?);
-        let line_end = if sample.contains('\r') && !sample.contains('\n') { b'\r' } else { b'\n' };
-        let format = match line_end {
-            b'\r' => detect(&sample.replace('\r', "\n")),
-            _ => detect(&sample),
+        let has_only_carriage_returns = sample.contains('\r') && !sample.contains('\n');
+        let format = if has_only_carriage_returns { detect(&sample.replace('\r', "\n")) } else { detect(&sample) };
+        let source = LineSource {
+            text,
+            has_only_carriage_returns,
+            blanks: format.has_blanks_before_quotes.then(|| BlankFilter::new(&format)),
+            passed: 0,
+            row_at: 0,
+            line_at: 0,
+            last: b'\n',
+            end: SourceEnd::NotReached,
         };
-        Ok(Self { text, format, line_end, lines: 0, is_cut: false })
+        let mut options = ReaderBuilder::new();
+        options.has_headers(false).flexible(true).buffer_capacity(BUFFER_BYTES);
+        options.delimiter(format.delimiter.byte()).terminator(Terminator::Any(b'\n'));
+        options.comment(format.comment.and_then(|letter| u8::try_from(letter).ok()));
+        let rows = options.from_reader(source);
+        Ok(Self { rows, skips_line: format.has_separator_line, format, is_cut: false })
     }
 
     /// Returns the format, with the encoding of what was read so far.
     pub(super) fn format(&self) -> TextFormat {
-        TextFormat { encoding: self.text.encoding(), ..self.format.clone() }
+        TextFormat { encoding: self.rows.get_ref().text.encoding(), ..self.format.clone() }
     }
 
     /// Reads the next row that is neither blank nor a comment. Returns its first line; `None` at the end. An error has
     /// the line at which the row begins.
     pub(super) fn next_row(&mut self, fields: &mut Fields) -> Result<Option<u64>, (u64, io::Error)> {
-        let delimiter = self.format.delimiter.byte();
         loop {
-            fields.clear();
-            let line = self.lines + 1;
-            let error = |error| (line, error);
-            if !self.read_line(&mut fields.text).map_err(error)? {
+            let before = self.rows.position().line();
+            let is_row = self.rows.read_record(fields).map_err(|error| (before, into_io_error(error)))?;
+            if !is_row {
                 return Ok(None);
             }
-            if self.format.comment.is_some_and(|letter| fields.text.starts_with(letter)) {
+            let read = self.rows.position();
+            let (line, byte) = (read.line(), read.byte());
+            let source = self.rows.get_mut();
+            source.row_at = byte;
+            if source.end == SourceEnd::Read {
+                let first = line - count_line_ends(fields);
+                let problem = "a quotation mark in this row is not closed";
+                return Err((first, io::Error::new(io::ErrorKind::InvalidData, problem)));
+            }
+            self.is_cut = source.end == SourceEnd::LineEndAdded && source.last != b'\n' && byte == source.passed;
+            let is_blank = fields.len() <= 1 && fields.iter().all(|only| only.trim().is_empty());
+            if std::mem::take(&mut self.skips_line) || is_blank {
                 continue;
             }
-            if self.format.has_quotes {
-                while !fields.split_quoted(delimiter) {
-                    // Only a line with a quotation mark can close the field.
-                    let mut next = String::new();
-                    while !next.contains('"') {
-                        next.clear();
-                        if fields.text.len() as u64 > MAX_ROW_BYTES || !self.read_line(&mut next).map_err(error)? {
-                            let problem = "a quotation mark in this row is not closed";
-                            return Err(error(io::Error::new(io::ErrorKind::InvalidData, problem)));
-                        }
-                        fields.text.push('\n');
-                        fields.text += &next;
-                    }
-                }
-            } else {
-                fields.split(delimiter);
+            // Blank lines and comments before the row, and line ends in its fields, count as lines, too.
+            let first = if line == before + 1 { before } else { line - 1 - count_line_ends(fields) };
+            return Ok(Some(first));
+        }
+    }
+}
+
+fn count_line_ends(fields: &Fields) -> u64 {
+    fields.iter().map(|field| field.bytes().filter(|byte| *byte == b'\n').count() as u64).sum()
+}
+
+fn into_io_error(error: csv::Error) -> io::Error {
+    match error.into_kind() {
+        ErrorKind::Io(error) => error,
+        _ => io::Error::new(io::ErrorKind::InvalidData, "is not text in UTF-8"),
+    }
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum SourceEnd {
+    NotReached,
+    /// A last line end follows the text. It ends every row, except within quotation marks.
+    LineEndAdded,
+    Read,
+}
+
+/// A text in UTF-8 whose lines end with a line feed.
+struct LineSource<'a> {
+    text: Utf8Reader<Box<dyn Read + 'a>>,
+    has_only_carriage_returns: bool,
+    blanks: Option<BlankFilter>,
+    /// Number of bytes that were passed on.
+    passed: u64,
+    /// Number of these bytes before the current row, and before the last line.
+    row_at: u64,
+    line_at: u64,
+    /// Last byte of the text.
+    last: u8,
+    end: SourceEnd,
+}
+
+impl Read for LineSource<'_> {
+    fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
+        self.check_limits()?;
+        loop {
+            let read = self.text.read(into)?;
+            let Some(bytes) = into.get_mut(..read).filter(|bytes| !bytes.is_empty()) else {
+                return Ok(self.read_end(into));
+            };
+            if self.has_only_carriage_returns {
+                bytes.iter_mut().filter(|byte| **byte == b'\r').for_each(|byte| *byte = b'\n');
             }
-            if fields.len() > 1 || fields.iter().any(|only| !only.trim().is_empty()) {
-                return Ok(Some(line));
+            self.last = bytes.last().copied().unwrap_or(self.last);
+            let count = self.blanks.as_mut().map_or(read, |filter| filter.apply(bytes));
+            let line_end = bytes.get(..count).and_then(|bytes| bytes.iter().rposition(|byte| *byte == b'\n'));
+            self.line_at = line_end.map_or(self.line_at, |at| self.passed + at as u64);
+            self.passed += count as u64;
+            if count > 0 {
+                return Ok(count);
             }
         }
     }
+}
 
-    /// Appends the next line without its end. Returns false at the end of the text.
-    fn read_line(&mut self, into: &mut String) -> io::Result<bool> {
-        let mut bytes = std::mem::take(into).into_bytes();
-        let count = (&mut self.text).take(MAX_ROW_BYTES + 1).read_until(self.line_end, &mut bytes)?;
-        let invalid = |message: String| io::Error::new(io::ErrorKind::InvalidData, message);
-        if count as u64 > MAX_ROW_BYTES {
-            return Err(invalid(format!("a line of more than {MAX_ROW_BYTES} bytes is not a row of numbers")));
+impl LineSource<'_> {
+    fn check_limits(&self) -> io::Result<()> {
+        let problem = if self.passed - self.line_at > MAX_LINE_BYTES {
+            format!("a line of more than {MAX_LINE_BYTES} bytes is not a row of numbers")
+        } else if self.passed - self.row_at > MAX_ROW_BYTES {
+            format!("a row of more than {MAX_ROW_BYTES} bytes: a quotation mark is probably not closed")
+        } else {
+            return Ok(());
+        };
+        Err(io::Error::new(io::ErrorKind::InvalidData, problem))
+    }
+
+    /// Passes on the last line end, and then nothing.
+    fn read_end(&mut self, into: &mut [u8]) -> usize {
+        match (self.end, into.first_mut()) {
+            (SourceEnd::NotReached, Some(first)) => {
+                *first = b'\n';
+                self.end = SourceEnd::LineEndAdded;
+                self.passed += 1;
+                1
+            }
+            _ => {
+                self.end = SourceEnd::Read;
+                0
+            }
         }
-        self.is_cut = count > 0 && bytes.pop_if(|last| *last == self.line_end).is_none();
-        if self.lines == 0 && bytes.starts_with("\u{feff}".as_bytes()) {
-            bytes.drain(..'\u{feff}'.len_utf8());
+    }
+}
+
+/// Removes blanks between a separator and a quotation mark, which many programs write against RFC 4180.
+struct BlankFilter {
+    delimiter: u8,
+    comment: Option<u8>,
+    place: TextPlace,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum TextPlace {
+    LineStart,
+    FieldStart,
+    Field,
+    Quoted,
+    /// After a quotation mark in a quoted field, which ends the field or is doubled.
+    QuotedMark,
+    Comment,
+}
+
+impl BlankFilter {
+    fn new(format: &TextFormat) -> Self {
+        let comment = format.comment.and_then(|letter| u8::try_from(letter).ok());
+        Self { delimiter: format.delimiter.byte(), comment, place: TextPlace::LineStart }
+    }
+
+    /// Removes blanks at the starts of fields, and returns the number of remaining bytes.
+    fn apply(&mut self, bytes: &mut [u8]) -> usize {
+        let mut count = 0;
+        for index in 0..bytes.len() {
+            let byte = bytes[index];
+            let is_removed = self.advance(byte);
+            if !is_removed {
+                bytes[count] = byte;
+                count += 1;
+            }
         }
-        *into = String::from_utf8(bytes).map_err(|error| invalid(error.to_string()))?;
-        self.lines += 1;
-        Ok(count > 0)
+        count
+    }
+
+    /// Moves behind a byte. Returns whether it is removed.
+    fn advance(&mut self, byte: u8) -> bool {
+        use TextPlace::{Comment, Field, FieldStart, LineStart, Quoted, QuotedMark};
+        let unquoted = match byte {
+            b'\n' => LineStart,
+            _ if byte == self.delimiter => FieldStart,
+            _ => Field,
+        };
+        let is_start = matches!(self.place, LineStart | FieldStart);
+        let is_blank = is_start && byte == b' ';
+        self.place = match self.place {
+            LineStart if self.comment == Some(byte) => Comment,
+            LineStart | FieldStart if byte == b'"' => Quoted,
+            LineStart | FieldStart if is_blank => FieldStart,
+            LineStart | FieldStart | Field => unquoted,
+            Quoted if byte == b'"' => QuotedMark,
+            Quoted => Quoted,
+            QuotedMark if byte == b'"' => Quoted,
+            QuotedMark => unquoted,
+            Comment if byte == b'\n' => LineStart,
+            Comment => Comment,
+        };
+        is_blank
     }
 }

@@ -175,3 +175,123 @@ fn numbers_and_times_are_read_as_written() {
         assert_eq!(parse_iso_s(wrong), None, "{wrong}");
     }
 }
+
+fn pairs_map() -> RecordingMap {
+    let text = MAP.replace(", unit = \"cm\"", "");
+    RecordingMap::from_toml(&text, Path::new("m.toml")).expect("a map")
+}
+
+fn events_of(text: &str) -> Vec<String> {
+    let recording = read(text.as_bytes(), Path::new("a.csv"), Some(&pairs_map())).expect("readable");
+    recording.platoons.into_iter().map(|platoon| platoon.event.expect("named")).collect()
+}
+
+/// RFC 4180: a quotation mark in a field is doubled. `a""b` and `a""""b` are two events.
+#[test]
+fn doubled_quotation_marks_are_single_ones_and_no_row_is_lost() {
+    let rows = |event: &str| format!("0,{event},50,20,20\n1,{event},50,20,20\n");
+    let text = format!(
+        "Zeit,Größe,Abstand,v,v vorn\n{}{}{}",
+        rows("\"a\"\"\"\"b\""),
+        rows("\"a\"\"b\""),
+        rows("\"line\nend, and \"\"mark\"\"\"")
+    );
+    assert_eq!(events_of(&text), ["a\"\"b", "a\"b", "line\u{fffd}end, and \"mark\""]);
+    // Blanks before quotation marks, as many programs write them.
+    let text = "\"Zeit\", \"Größe\", \"Abstand\", \"v\", \"v vorn\"\n\"0\", \"a, b\", \"50\", \"20\", \"20\"\n";
+    assert_eq!(events_of(text), ["a, b"]);
+}
+
+/// Each doubled mark once copied the whole row.
+#[test]
+fn doubled_quotation_marks_need_linear_memory_and_time() {
+    let field = format!("\"{}\"", "a\"\"".repeat(300_000));
+    let text = format!("Zeit,Größe,Abstand,v,v vorn,text\n0,e,50,20,20,{field}\n1,e,50,20,20,short\n");
+    assert_eq!(events_of(&text), ["e"]);
+    let open = format!("Zeit,Größe,Abstand,v,v vorn\n0,\"{}", "e,50,20,20\n".repeat(200_000));
+    let message = read(open.as_bytes(), Path::new("a.csv"), Some(&pairs_map())).expect_err("not closed").to_string();
+    assert!(message.starts_with("a.csv:2: a quotation mark in this row is not closed"), "{message}");
+    let long = format!("Zeit,Größe,Abstand,v,v vorn\n0,\"{}", "e,50,20,20\n".repeat(2_000_000));
+    let message = read(long.as_bytes(), Path::new("a.csv"), Some(&pairs_map())).expect_err("not closed").to_string();
+    assert!(message.starts_with("a.csv:2: a row of more than 16777216 bytes"), "{message}");
+    let blank = format!("Zeit,Größe,Abstand,v,v vorn\n{}0,e,50,20,20\n1,e,50,20,20\n", "\n".repeat(2 << 20));
+    assert_eq!(events_of(&blank), ["e"]);
+}
+
+/// Lines of errors count blank lines, comments and line ends within fields.
+#[test]
+fn errors_name_the_line_at_which_a_row_begins() {
+    for line_end in ["\n", "\r\n", "\r"] {
+        let text =
+            "# comment\n\nZeit,Größe,Abstand,v,v vorn\n# \"comment\n0,\"a\nb\",50,20,20\n\n1,\"a\nb\",fast,20,20\n";
+        let text = text.replace('\n', line_end);
+        let message = read(text.as_bytes(), Path::new("a.csv"), Some(&pairs_map())).expect_err("no number").to_string();
+        assert!(message.starts_with("a.csv:8: Abstand: must be a finite number"), "{line_end:?}: {message}");
+    }
+}
+
+/// Spreadsheets read the separator from a first line.
+#[test]
+fn a_first_line_may_state_the_separator() {
+    let rows = "Zeit;Größe;Abstand;v;v vorn\n0;e;50,5;20;20\n1;e;50,5;20;20\n";
+    for first in ["sep=;\r\n", "SEP=;\n", "\"sep=;\"\n", "\u{feff}sep=;\n"] {
+        let text = format!("{first}{rows}");
+        assert_eq!(events_of(&text), ["e"], "{first:?}");
+        let wrong = text.replace("1;e;50,5", "1;e;x");
+        let message = read(wrong.as_bytes(), Path::new("a.csv"), Some(&pairs_map())).expect_err("wrong").to_string();
+        assert!(message.starts_with("a.csv:4: "), "{message}");
+    }
+    assert_eq!(events_of(&format!("sep=,\n{}", "Zeit,Größe,Abstand,v,v vorn\n0,e,50,20,20\n")), ["e"]);
+}
+
+/// The unit in a name holds unless the map states another one, which is an error.
+#[test]
+fn units_in_names_of_columns_hold_and_may_not_contradict_the_map() {
+    let read_with = |header: &str, unit: &str| {
+        let columns = format!("spacing = {{ column = \"{header}\"{unit} }}\n");
+        let text = format!(
+            "version = 1\nname = \"own\"\ntime.clock = {{ column = \"t\" }}\n[layout.pairs]\n{columns}\
+             follower_speed = {{ column = \"v\" }}\nleader_speed = {{ column = \"lead\" }}\n"
+        );
+        let map = RecordingMap::from_toml(&text, Path::new("m.toml")).expect("a map");
+        let rows = format!("t,{header},v,lead\n0,100,20,20\n1,100,20,20\n");
+        read(rows.as_bytes(), Path::new("a.csv"), Some(&map)).map(|found| found.platoons[0].gap_ahead_m(1)[0])
+    };
+    for (header, unit, expected_m) in [
+        ("gap [ft]", "", 30.48),
+        ("gap_cm", "", 1.0),
+        ("gap (m)", ", unit = \"m\"", 100.0),
+        ("gap", ", unit = \"ft\"", 30.48),
+        ("abstand", "", 100.0),
+    ] {
+        let found = read_with(header, unit).unwrap_or_else(|error| panic!("{header}: {error}")).expect("known");
+        assert!((found - expected_m).abs() < 1e-9, "{header}: {found}");
+    }
+    for (header, unit, expected) in [
+        ("gap [ft]", ", unit = \"m\"", "a.csv:1: gap [ft]: its name states the unit `ft`, but the map states `m`"),
+        ("gap_m", ", unit = \"cm\"", "a.csv:1: gap_m: its name states the unit `m`, but the map states `cm`"),
+        ("gap [mm]", ", unit = \"m\"", "a.csv:1: gap [mm]: its name states the unit `mm`, but the map states `m`"),
+        ("gap [mm]", "", "a.csv:1: gap [mm]: the file states the unit `mm`, which crumple does not know"),
+    ] {
+        let message = read_with(header, unit).expect_err("contradicts").to_string();
+        assert!(message.starts_with(expected), "{message}");
+    }
+}
+
+/// Published files of NGSIM have `v_length` and `v_Length`.
+#[test]
+fn capital_letters_of_columns_matter_only_between_two_equal_names() {
+    let header = "Vehicle_ID,Global_Time,Local_Y,v_length,v_Width,v_Vel,Lane_ID\n";
+    let rows = "1,1113433135300,100,14.5,6,30,1\n1,1113433135400,103,14.5,6,30,1\n";
+    let map = RecordingMap::built_in("ngsim").expect("built in").expect("a map");
+    let read_with = |header: &str| read(format!("{header}{rows}").as_bytes(), Path::new("a.csv"), Some(&map));
+    for header in [header.to_owned(), header.replace("v_length", "v_Length"), header.to_lowercase()] {
+        assert!(read_with(&header).is_ok(), "{header}");
+    }
+    // The exact name counts where there are two.
+    assert!(read_with(&header.replace("v_Width", "V_LENGTH").replace("v_length", "v_Length")).is_ok());
+    let twice = read_with(&header.replace("v_Width", "V_LENGTH")).expect_err("two names").to_string();
+    assert_eq!(twice, "a.csv:1: v_Length: named twice");
+    let unnamed = read(format!("{header}{rows}").as_bytes(), Path::new("a.csv"), None).expect_err("no map").to_string();
+    assert!(unnamed.contains("--map ngsim"), "{unnamed}");
+}

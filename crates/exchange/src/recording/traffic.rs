@@ -8,8 +8,8 @@ use super::acceleration::AccelerationCheck;
 use super::consistency::{Comparison, Hypothesis};
 use super::dropped::{DroppedItem, Omission};
 use super::error::{ColumnProblem, LineProblem, RecordingError};
-use super::map::{LengthSpec, LengthUnit, RecordingMapSpec, SpeedUnit, TimeSpec, TracksSpec};
-use super::parts::{ALL_TIMES, MAX_POINTS, PART_ROWS, PartBounds, PartSink};
+use super::map::{ColumnUnit, LengthSpec, LengthUnit, RecordingMapSpec, SpeedUnit, TimeSpec, TracksSpec};
+use super::parts::{ALL_TIMES, MAX_POINTS, MAX_SIMULTANEOUS, PART_ROWS, PartBounds, PartSink};
 use super::series::{Clock, ColumnQuantity, Series};
 use super::spill::SpilledPoints;
 use super::table::{CsvColumn, CsvRow, RowReader, excerpt, is_missing};
@@ -30,15 +30,15 @@ pub(super) fn read(
     each: &mut PartSink<'_>,
 ) -> Result<(), RecordingError> {
     let mut clock = Clock::find(names, &map.time)?;
-    let vehicle = CsvColumn::find(names, &spec.vehicle, Some(1.0))?;
-    let lane = spec.lane.as_ref().map(|name| CsvColumn::find(names, name, Some(1.0))).transpose()?;
-    let series = |name: &str, factor, quantity| Ok(Series::new(CsvColumn::find(names, name, factor)?, quantity));
+    let vehicle = CsvColumn::find(names, &spec.vehicle, ColumnUnit::None)?;
+    let lane = spec.lane.as_ref().map(|name| CsvColumn::find(names, name, ColumnUnit::None)).transpose()?;
+    let series = |name: &str, unit, quantity| Ok(Series::new(CsvColumn::find(names, name, unit)?, quantity));
     let mut position =
-        series(&spec.position.column, spec.position.unit.map(LengthUnit::factor), ColumnQuantity::Signed)?;
-    let mut speed = series(&spec.speed.column, spec.speed.unit.map(SpeedUnit::factor), ColumnQuantity::SignedSpeed)?;
+        series(&spec.position.column, LengthUnit::of_column(spec.position.unit), ColumnQuantity::Signed)?;
+    let mut speed = series(&spec.speed.column, SpeedUnit::of_column(spec.speed.unit), ColumnQuantity::SignedSpeed)?;
     let (mut length, constant_m) = match &spec.length {
         LengthSpec::Column(column) => {
-            (Some(series(&column.name, column.unit.map(LengthUnit::factor), ColumnQuantity::Length)?), 0.0)
+            (Some(series(&column.name, LengthUnit::of_column(column.unit), ColumnQuantity::Length)?), 0.0)
         }
         LengthSpec::Metres(metres) => (None, *metres),
     };
@@ -100,6 +100,7 @@ pub(super) fn read(
     spilled.write(&mut points).map_err(disk)?;
     let mut sorted = spilled.read().map_err(disk)?;
     let mut bounds = PartBounds::new(0);
+    let mut simultaneous = 0;
     while let Some(point) = sorted.next().map_err(disk)? {
         if bounds.ends_before(point.time_ms) {
             let (core_ms, next_ms) = bounds.next();
@@ -111,8 +112,12 @@ pub(super) fn read(
                 return Ok(());
             }
         }
-        if points.len() >= MAX_POINTS {
-            let problem = LineProblem::TooLarge { limit: MAX_POINTS, what: "rows at one time" };
+        simultaneous = match points.last() {
+            Some(before) if before.time_ms == point.time_ms => simultaneous + 1,
+            _ => 1,
+        };
+        if simultaneous > MAX_SIMULTANEOUS {
+            let problem = LineProblem::TooLarge { limit: MAX_SIMULTANEOUS, what: "rows at one time" };
             return Err(RecordingError::Line { path: path.to_owned(), line: point.line, problem });
         }
         points.push(point);

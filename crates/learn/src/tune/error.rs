@@ -1,6 +1,7 @@
 //! Errors of a tuning.
 
 use crumple_core::observer::Stopped;
+use crumple_search::falsify::InvalidPoints;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
 use crumple_world::control::{ControllerSpec, InvalidSetting};
@@ -55,8 +56,13 @@ pub enum TuneError {
     #[error("the tuning was {0}")]
     Stopped(#[from] Stopped),
     /// The search method proposes no point, or one outside the unit cube.
-    #[error("the search method `{0}` proposes no usable point")]
-    Method(String),
+    #[error("the search method `{method}` {problem}")]
+    Method {
+        /// Name of the method.
+        method: String,
+        /// Problem of the points.
+        problem: InvalidPoints,
+    },
     /// A file cannot be encoded.
     #[error("cannot encode a file of the tuning: {0}")]
     Encoding(String),

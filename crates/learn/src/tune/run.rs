@@ -68,7 +68,7 @@ impl TuningPlan {
 
     /// Evaluates the initial settings, and then the points of the search method.
     fn search(&self, log: &mut CandidateLog<'_>) -> Result<(), TuneError> {
-        let unusable = || TuneError::Method(self.method.name().to_owned());
+        let invalid = |problem| TuneError::Method { method: self.method.name().to_owned(), problem };
         let set = self.scoring_set(SetKind::Tuning)?;
         let cube = self.search.cube().map_err(TuneError::encoding)?;
         let mut search = self.method.start(&cube, self.search_seed());
@@ -76,9 +76,7 @@ impl TuningPlan {
         while log.len() < self.evaluations {
             let mut points = search.ask();
             points.truncate(usize::try_from(self.evaluations - log.len()).unwrap_or(usize::MAX));
-            if points.is_empty() || !points.iter().all(|point| cube.contains(point)) {
-                return Err(unusable());
-            }
+            cube.check_points(&points).map_err(invalid)?;
             let add = |point: &Vec<f64>| log.add(&set, &self.search.controller_at(point));
             search.tell(&points.iter().map(add).collect::<Result<Vec<_>, _>>()?);
         }

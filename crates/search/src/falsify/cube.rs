@@ -18,6 +18,29 @@ pub struct UnitCube {
 #[error("a search needs at least one coordinate, and at least one in each block")]
 pub struct EmptyBlock;
 
+/// Reason why a search cannot go on with the points that it proposed.
+#[derive(Debug, Clone, Copy, PartialEq, thiserror::Error)]
+#[non_exhaustive]
+pub enum InvalidPoints {
+    /// No points.
+    #[error("must propose at least one point each time, and proposed none")]
+    None,
+    /// A point of another dimension.
+    #[error("must propose points of {expected} coordinates, and proposed one of {found}")]
+    Dimension {
+        /// Number of coordinates of the space.
+        expected: usize,
+        /// Number of coordinates of the point.
+        found: usize,
+    },
+    /// A point outside the unit cube.
+    #[error("must propose coordinates from 0 to 1, and proposed {found}")]
+    Outside {
+        /// Coordinate of the point.
+        found: f64,
+    },
+}
+
 impl UnitCube {
     /// Creates the cube of a space: a block for each parameter, with marked coordinates of the leader's script.
     ///
@@ -114,6 +137,20 @@ impl UnitCube {
     #[must_use]
     pub fn contains(&self, point: &[f64]) -> bool {
         point.len() == self.dimension() && point.iter().all(|x| (0.0..=1.0).contains(x))
+    }
+
+    /// Checks the points that a search proposed.
+    ///
+    /// # Errors
+    /// [`InvalidPoints`] if there is no point, or one is not in the cube.
+    pub fn check_points(&self, points: &[Vec<f64>]) -> Result<(), InvalidPoints> {
+        let Some(wrong) = points.iter().find(|point| !self.contains(point)) else {
+            return if points.is_empty() { Err(InvalidPoints::None) } else { Ok(()) };
+        };
+        match wrong.iter().find(|x| !(0.0..=1.0).contains(*x)) {
+            Some(&found) if wrong.len() == self.dimension() => Err(InvalidPoints::Outside { found }),
+            _ => Err(InvalidPoints::Dimension { expected: self.dimension(), found: wrong.len() }),
+        }
     }
 
     /// Returns the distance of two points: the sum over blocks of the mean difference, from 0 to the number of blocks.

@@ -236,7 +236,17 @@ mod tests {
         }
         let folder = tempfile::tempdir().unwrap();
         let outside = campaign("outside", 1.5).run(&folder.path().join("a"), CampaignOptions::default(), &Quiet);
-        assert!(matches!(outside, Err(CampaignError::InvalidPoints(_))), "{outside:?}");
+        let message = outside.unwrap_err().to_string();
+        assert_eq!(message, "the search method `outside` must propose coordinates from 0 to 1, and proposed 1.5");
+        let cube = UnitCube::new([15]).unwrap();
+        for (points, expected) in [
+            (vec![vec![0.5; 15], vec![0.5; 14]], "must propose points of 15 coordinates, and proposed one of 14"),
+            (Vec::new(), "must propose at least one point each time, and proposed none"),
+            (vec![vec![f64::NAN; 15]], "must propose coordinates from 0 to 1, and proposed NaN"),
+        ] {
+            assert_eq!(cube.check_points(&points).unwrap_err().to_string(), expected);
+        }
+        assert_eq!(cube.check_points(&[vec![0.0; 15], vec![1.0; 15]]), Ok(()));
     }
 
     proptest! {

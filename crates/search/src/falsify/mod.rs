@@ -31,6 +31,6 @@ mod surrogate;
 mod test_functions;
 mod uniform;
 
-pub use cube::{EmptyBlock, UnitCube};
+pub use cube::{EmptyBlock, InvalidPoints, UnitCube};
 pub use failure_criterion::{FailureCriterion, FailureCriterionRecord};
 pub use method::{CustomMethod, InvalidMethodName, Method, SearchAlgorithm, UnknownMethod};

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use super::RecordingMapSpec;
-use super::check::check;
+use super::check::{check, is_same_name};
 use crumple_world::scenario::file::{FileError, parse_toml, read_at_most};
 
 const MAX_MAP_BYTES: u64 = 64 << 10;
@@ -60,7 +60,8 @@ impl RecordingMap {
     pub(in crate::recording) fn recognise<'n>(names: impl Iterator<Item = &'n str> + Clone) -> Option<&'static str> {
         let is_for = |text: &str| {
             let map = Self::from_toml(text, Path::new(""));
-            map.is_ok_and(|map| map.spec.columns().iter().all(|(_, column)| names.clone().any(|name| name == *column)))
+            let has = |column: &str| names.clone().any(|name| is_same_name(name, column));
+            map.is_ok_and(|map| map.spec.columns().iter().all(|(_, column)| has(column)))
         };
         BUILT_IN_MAPS.iter().find(|(_, text)| is_for(text)).map(|(name, _)| *name)
     }

@@ -1,5 +1,6 @@
 //! Validation of maps.
 
+#[cfg(any(feature = "mdf", feature = "parquet"))]
 use super::super::platoon_columns::column_number;
 use super::{LayoutSpec, LengthSpec, PairsSpec, PlatoonSpec, RecordingMapSpec, Spacing, SpeedSpec, TimeSpec};
 
@@ -24,6 +25,13 @@ pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
     if spec.lines_before_names > MAX_LINES_BEFORE_NAMES {
         let found = spec.lines_before_names;
         return wrong("lines_before_names", format!("must be at most {MAX_LINES_BEFORE_NAMES}, found {found}"));
+    }
+    for (field, is_stated) in
+        [("bus_channel", spec.bus_channel.is_some()), ("source_address", spec.source_address.is_some())]
+    {
+        if is_stated && spec.dbc.is_none() {
+            return wrong(field, "applies only to raw CAN frames, which need a DBC file (`dbc`)".to_owned());
+        }
     }
     check_range("interpolate_s", spec.interpolate_s, [0.0, MAX_INTERPOLATION_S])?;
     let columns = spec.columns();
@@ -51,6 +59,7 @@ pub(super) fn check(spec: &RecordingMapSpec) -> Result<(), (String, String)> {
 }
 
 /// Role of a column of a file in a map.
+#[cfg(feature = "mdf")]
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(in crate::recording) struct ColumnRole {
     /// A column of times.
@@ -61,8 +70,21 @@ pub(in crate::recording) struct ColumnRole {
     pub(in crate::recording) is_spacing: bool,
 }
 
+/// Returns whether two names of columns are equal, except for capital letters.
+pub(in crate::recording) fn is_same_name(a: &str, b: &str) -> bool {
+    a.eq_ignore_ascii_case(b)
+}
+
 impl RecordingMapSpec {
+    /// Returns whether the map names a column of a table, except for capital letters.
+    #[cfg(feature = "parquet")]
+    pub(in crate::recording) fn has_column(&self, name: &str) -> bool {
+        let is_named = |column: &str| is_same_name(column, name) || column_number(name, column).is_some();
+        self.columns().into_iter().any(|(_, column)| is_named(column))
+    }
+
     /// Returns the role of a column; `None` if the map does not name it.
+    #[cfg(feature = "mdf")]
     pub(in crate::recording) fn column_role(&self, name: &str) -> Option<ColumnRole> {
         let is_named = |column: &str| column == name || column_number(name, column).is_some();
         let (field, _) = self.columns().into_iter().find(|(_, column)| is_named(column))?;

@@ -4,11 +4,13 @@ mod built_in;
 mod check;
 mod units;
 
+use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use serde::{Deserialize, Serialize};
 
-pub(in crate::recording) use units::{factor_by_name, plain_unit};
+pub(in crate::recording) use check::is_same_name;
+pub(in crate::recording) use units::{ColumnUnit, factor_by_name, other_unit_in_name, unit_in_name, words};
 
 pub use built_in::{BUILT_IN_MAPS, RecordingMap};
 pub use units::{
@@ -37,6 +39,14 @@ pub struct RecordingMapSpec {
     /// DBC file that describes the raw CAN frames of MDF files; a relative path starts at the folder of the map.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub dbc: Option<PathBuf>,
+    /// Bus channel of the raw CAN frames: one for all messages, or a table of channels by the names of messages.
+    /// Default: any, if only one channel has frames of the signals.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bus_channel: Option<FrameChoice>,
+    /// Source address of J1939 messages that have the address 254 (any) in the DBC file: one for all, or a table by the
+    /// names of messages. Default: any, if only one address sends the signals.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub source_address: Option<FrameChoice>,
     /// Time of each row.
     pub time: TimeSpec,
     /// Longest hole that is interpolated linearly, in seconds. Default 0: none.
@@ -59,8 +69,43 @@ impl RecordingMapSpec {
     /// Creates a map with detected separators and without interpolation.
     pub(in crate::recording) fn new(name: String, time: TimeSpec, layout: LayoutSpec) -> Self {
         let version = check::MAP_VERSION;
-        let (lines_before_names, delimiter, decimal, dbc, interpolate_s) = Default::default();
-        Self { version, name, lines_before_names, delimiter, decimal, dbc, time, interpolate_s, layout }
+        let (lines_before_names, delimiter, decimal, interpolate_s) = Default::default();
+        let (dbc, bus_channel, source_address) = Default::default();
+        Self {
+            version,
+            name,
+            lines_before_names,
+            delimiter,
+            decimal,
+            dbc,
+            bus_channel,
+            source_address,
+            time,
+            interpolate_s,
+            layout,
+        }
+    }
+}
+
+/// Frames of some messages, by a number of their bus or sender.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+#[cfg_attr(feature = "schema", derive(schemars::JsonSchema))]
+#[serde(untagged, expecting = "must be a number from 0 to 255, or a table of such numbers by the names of messages")]
+pub enum FrameChoice {
+    /// One number for all messages.
+    All(u8),
+    /// A number for each of some messages, by name.
+    ByMessage(BTreeMap<String, u8>),
+}
+
+impl FrameChoice {
+    /// Returns the number for a message; `None` for any.
+    #[cfg(feature = "mdf")]
+    pub(in crate::recording) fn of_message(&self, message: &str) -> Option<u64> {
+        match self {
+            Self::All(number) => Some(u64::from(*number)),
+            Self::ByMessage(numbers) => numbers.get(message).copied().map(u64::from),
+        }
     }
 }
 

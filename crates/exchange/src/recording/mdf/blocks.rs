@@ -7,6 +7,7 @@ use std::ops::Range;
 use flate2::read::ZlibDecoder;
 
 use super::{MdfError, MdfSource};
+use crate::recording::limits;
 
 /// Maximum size of a block without samples.
 const MAX_BLOCK_BYTES: u64 = 1 << 20;
@@ -14,14 +15,20 @@ const MAX_BLOCK_BYTES: u64 = 1 << 20;
 const MAX_COMPRESSED_BYTES: u64 = 64 << 20;
 const CHUNK_BYTES: u64 = 1 << 20;
 const HEADER_BYTES: u64 = 24;
-/// Maximum number of blocks of a list; 4 MiB each for a petabyte.
-const MAX_DATA_BLOCKS: usize = 1 << 28;
+/// Bytes of blocks without samples that may be read, beside the length of the file: links may name a block repeatedly.
+const EXTRA_METADATA_BYTES: u64 = 32 << 20;
 
 pub(super) struct Blocks {
     source: Box<dyn MdfSource>,
     length: u64,
     /// Blocks that may occur only once, so that links form no circle.
     visited: HashSet<u64>,
+    /// Bytes of blocks without samples that may still be read.
+    metadata_left: u64,
+    /// Bytes of blocks with samples that may still be read; no two blocks share bytes.
+    samples_left: u64,
+    /// Bytes that compressed blocks may still have after decompression.
+    decompressed_left: u64,
 }
 
 pub(super) struct Block {
@@ -42,7 +49,14 @@ struct Header {
 impl Blocks {
     pub(super) fn new(mut source: Box<dyn MdfSource>) -> Result<Self, MdfError> {
         let length = source.seek(SeekFrom::End(0))?;
-        let mut blocks = Self { source, length, visited: HashSet::new() };
+        let mut blocks = Self {
+            source,
+            length,
+            visited: HashSet::new(),
+            metadata_left: length.saturating_add(EXTRA_METADATA_BYTES),
+            samples_left: length,
+            decompressed_left: limits::max_decompressed_bytes(length),
+        };
         let identification = blocks.bytes(0, 64)?;
         let version = little_endian(&identification, 28, 2).unwrap_or(0);
         if !(400..500).contains(&version) {
@@ -56,6 +70,11 @@ impl Blocks {
         Ok(blocks)
     }
 
+    /// Returns the size of the file.
+    pub(super) fn file_bytes(&self) -> u64 {
+        self.length
+    }
+
     pub(super) fn bytes(&mut self, at: u64, count: u64) -> Result<Vec<u8>, MdfError> {
         if at.checked_add(count).is_none_or(|end| end > self.length) {
             return Err(damaged(at, "the file ends before the block"));
@@ -67,6 +86,7 @@ impl Blocks {
     }
 
     fn header(&mut self, at: u64) -> Result<Header, MdfError> {
+        self.use_metadata(at, HEADER_BYTES)?;
         let header = self.bytes(at, HEADER_BYTES)?;
         let [b'#', b'#', first, second, ..] = header[..] else { return Err(damaged(at, "no block begins here")) };
         let (bytes, links) = (little_endian(&header, 8, 8).unwrap_or(0), little_endian(&header, 16, 8).unwrap_or(0));
@@ -83,15 +103,21 @@ impl Blocks {
 
     /// Returns a block that only one link may name.
     pub(super) fn find_once(&mut self, at: u64, kind: &BlockType) -> Result<Option<Block>, MdfError> {
-        if at != 0 && !self.visited.insert(at) {
-            return Err(damaged(at, "two links name the block"));
+        if at != 0 {
+            self.visit(at)?;
         }
         self.find(at, kind)
     }
 
-    /// Returns true if a link names a channel.
-    pub(super) fn is_channel(&mut self, at: u64) -> bool {
-        at != 0 && self.header(at).is_ok_and(|header| &header.kind == b"CN")
+    fn use_metadata(&mut self, at: u64, bytes: u64) -> Result<(), MdfError> {
+        let problem = "the links name the same blocks too often";
+        self.metadata_left = self.metadata_left.checked_sub(bytes).ok_or(damaged(at, problem))?;
+        Ok(())
+    }
+
+    /// Returns whether a link names a block of a type.
+    pub(super) fn is_of_type(&mut self, at: u64, kind: &BlockType) -> bool {
+        at != 0 && self.header(at).is_ok_and(|header| header.kind == *kind)
     }
 
     pub(super) fn read(&mut self, at: u64, kind: &BlockType) -> Result<Block, MdfError> {
@@ -99,6 +125,7 @@ impl Blocks {
         if header.kind != *kind || header.bytes > MAX_BLOCK_BYTES {
             return Err(damaged(at, "the block is of another type or too long"));
         }
+        self.use_metadata(at, header.bytes)?;
         let content = self.bytes(at + HEADER_BYTES, header.bytes - HEADER_BYTES)?;
         let (links, data) = content.split_at(8 * header.links as usize);
         let links = links.chunks_exact(8).map(|link| little_endian(link, 0, 8).unwrap_or(0)).collect();
@@ -121,13 +148,16 @@ impl Blocks {
         Ok(element.map_or(text, |(inner, _)| inner).trim().to_owned())
     }
 
+    /// Marks a block that only one link may name.
+    fn visit(&mut self, at: u64) -> Result<(), MdfError> {
+        if self.visited.insert(at) { Ok(()) } else { Err(damaged(at, "two links name the block")) }
+    }
+
     /// Returns the offsets of the data blocks behind a link, in order.
     pub(super) fn data_blocks(&mut self, mut at: u64) -> Result<Vec<u64>, MdfError> {
         let mut offsets = Vec::new();
         while at != 0 {
-            if !self.visited.insert(at) {
-                return Err(damaged(at, "two links name the block"));
-            }
+            self.visit(at)?;
             match &self.header(at)?.kind {
                 b"DT" | b"DZ" => {
                     offsets.push(at);
@@ -136,14 +166,14 @@ impl Blocks {
                 b"HL" => at = self.read(at, b"HL")?.link(0),
                 b"DL" => {
                     let list = self.read(at, b"DL")?;
-                    offsets.extend(list.links.iter().skip(1).filter(|link| **link != 0));
+                    for &block in list.links.iter().skip(1).filter(|link| **link != 0) {
+                        self.visit(block)?;
+                        offsets.push(block);
+                    }
                     at = list.link(0);
                 }
                 b"LD" | b"DV" => return Err(MdfError::Unsupported("samples stored by column".to_owned())),
                 _ => return Err(damaged(at, "the block holds no samples")),
-            }
-            if offsets.len() > MAX_DATA_BLOCKS {
-                return Err(damaged(at, "the list of data blocks is too long"));
             }
         }
         Ok(offsets)
@@ -159,6 +189,10 @@ impl Blocks {
         if original.max(compressed) > MAX_COMPRESSED_BYTES {
             return Err(damaged(at, "the compressed block is too long"));
         }
+        let limit = limits::max_decompressed_bytes(self.length);
+        let what = "bytes after decompression";
+        self.decompressed_left =
+            self.decompressed_left.checked_sub(original).ok_or(MdfError::TooLarge { limit, what })?;
         let packed = self.bytes(at + HEADER_BYTES + 24, compressed)?;
         let mut plain = Vec::with_capacity(original as usize);
         let unpacked = ZlibDecoder::new(&packed[..]).take(original).read_to_end(&mut plain);
@@ -167,14 +201,29 @@ impl Blocks {
         }
         let (columns, rows) = (columns as usize, plain.len().checked_div(columns as usize).unwrap_or(0));
         if kind == 1 && columns > 1 && rows > 1 {
-            let mut rows_first = plain.clone();
-            for (index, byte) in plain.iter().take(columns * rows).enumerate() {
-                rows_first[index % rows * columns + index / rows] = *byte;
-            }
-            return Ok(rows_first);
+            return Ok(transpose(plain, columns, rows));
         }
         Ok(plain)
     }
+}
+
+/// Returns bytes that are stored column by column, row by row. Bytes behind the last row stay in their places.
+fn transpose(plain: Vec<u8>, columns: usize, rows: usize) -> Vec<u8> {
+    // A number of rows whose bytes stay in the cache.
+    const BLOCK_ROWS: usize = 64;
+    let mut rows_first = plain.clone();
+    let (Some(by_column), Some(by_row)) = (plain.get(..columns * rows), rows_first.get_mut(..columns * rows)) else {
+        return plain;
+    };
+    for (block, target) in by_row.chunks_mut(BLOCK_ROWS * columns).enumerate() {
+        for (column, source) in by_column.chunks_exact(rows).enumerate() {
+            let source = source.iter().skip(block * BLOCK_ROWS);
+            for (row, byte) in target.chunks_exact_mut(columns).zip(source) {
+                row[column] = *byte;
+            }
+        }
+    }
+    rows_first
 }
 
 /// Data blocks, read in chunks.
@@ -193,6 +242,8 @@ impl DataCursor {
         while self.rest.is_empty() {
             let Some(at) = self.offsets.next() else { return Ok(None) };
             let header = blocks.header(at)?;
+            let shared = damaged(at, "two blocks with samples share bytes");
+            blocks.samples_left = blocks.samples_left.checked_sub(header.bytes).ok_or(shared)?;
             match &header.kind {
                 b"DT" => self.rest = at + HEADER_BYTES + 8 * header.links..at.saturating_add(header.bytes),
                 b"DZ" => return blocks.decompress(at).map(Some),

@@ -1,199 +1,208 @@
-//! Raw CAN frames, and the signals that a DBC file describes in them.
+//! Raw CAN frames, and the values of signals in them.
 
 use std::collections::HashMap;
-use std::io::Read;
-use std::path::{Path, PathBuf};
 
-use can_dbc::{ByteOrder, Dbc, ExtendedMultiplex, Message, MessageId, MultiplexIndicator, ValueType};
-use can_dbc::{Signal as DbcSignal, SignalExtendedValueType};
+use can_dbc::{MessageId, SignalExtendedValueType};
 
+use super::MdfError;
 use super::channel::sign_extend;
-use super::{MdfError, SignalSet};
 
-const MAX_DBC_BYTES: u64 = 16 << 20;
+/// A frame of a bus.
+pub(super) struct Frame<'b> {
+    pub(super) id: MessageId,
+    /// Number of its bus, if known.
+    pub(super) bus_channel: Option<u64>,
+    pub(super) bytes: &'b [u8],
+}
 
-/// A DBC file: the messages of a CAN bus.
-#[derive(Debug, Clone)]
-pub struct DbcFile {
-    dbc: Dbc,
-    path: PathBuf,
-    text: String,
+/// Wanted signals by their messages.
+#[derive(Default)]
+pub(super) struct FrameDecoder {
+    /// Messages with one id. Those without wanted signals are listed, too, where another message has any sender.
+    by_id: HashMap<MessageId, FrameMessage>,
+    /// Messages of J1939 from any sender, by the number of their group of parameters.
+    by_parameter_group: HashMap<u32, FrameMessage>,
+}
+
+/// A message with wanted signals.
+#[derive(Default)]
+pub(super) struct FrameMessage {
+    /// Name and id, for errors.
+    pub(super) label: String,
+    pub(super) signals: Vec<FrameSignal>,
+    /// Bus channel and source address that the map chooses.
+    pub(super) bus_channel: Option<u64>,
+    pub(super) source_address: Option<u64>,
 }
 
 /// A signal of a message that is decoded.
 pub(super) struct FrameSignal {
     /// Index in the set of signals.
-    index: usize,
-    place: Place,
+    pub(super) index: usize,
+    pub(super) name: String,
+    pub(super) place: BitPlace,
     /// Multiplexers with the values that select the signal.
-    selectors: Vec<(Place, Vec<[u64; 2]>)>,
-    factor: f64,
-    offset: f64,
+    pub(super) selectors: Vec<Selector>,
+    pub(super) factor: f64,
+    pub(super) offset: f64,
+    /// First raw value that J1939 reserves for errors and missing values.
+    pub(super) reserved_from: Option<u64>,
+    /// Bus channel and sender of the first value.
+    pub(super) origin: Option<[Option<u64>; 2]>,
+}
+
+/// A multiplexer of a signal.
+pub(super) struct Selector {
+    place: BitPlace,
+    /// Ranges of its values, in order and apart.
+    ranges: Vec<[u64; 2]>,
 }
 
 /// Bits of a frame, from the most significant one.
 #[derive(Debug, Clone, Copy)]
-struct Place {
-    start: u64,
-    size: u32,
-    is_big_endian: bool,
-    kind: SignalExtendedValueType,
-    is_signed: bool,
+pub(super) struct BitPlace {
+    pub(super) start: u64,
+    pub(super) size: u32,
+    pub(super) is_big_endian: bool,
+    pub(super) kind: SignalExtendedValueType,
+    pub(super) is_signed: bool,
 }
 
-/// Wanted signals by the id of their message.
-pub(super) type FrameDecoder = HashMap<MessageId, Vec<FrameSignal>>;
+/// Returns the number of the group of parameters of an extended id of J1939. The priority and the source address, and
+/// the destination of messages that have one, are no part of it.
+pub(super) fn parameter_group(id: u32) -> u32 {
+    const BROADCAST_FORMAT: u32 = 240;
+    let group = id >> 8 & 0x3_ffff;
+    if group >> 8 & 0xff < BROADCAST_FORMAT { group & 0x3_ff00 } else { group }
+}
 
-impl DbcFile {
-    /// Reads a DBC file.
-    ///
-    /// # Errors
-    /// [`MdfError::Dbc`] for a file that cannot be read, is too long, or is no DBC file.
-    pub fn load(path: &Path) -> Result<Self, MdfError> {
-        let error = |problem: String| MdfError::Dbc { path: path.to_owned(), line: None, problem };
-        let mut bytes = Vec::new();
-        let file = crumple_core::regular_file::open(path).map_err(|source| error(source.to_string()))?;
-        file.take(MAX_DBC_BYTES + 1).read_to_end(&mut bytes).map_err(|source| error(source.to_string()))?;
-        Self::parse(&bytes, path)
+impl FrameDecoder {
+    pub(super) fn is_empty(&self) -> bool {
+        self.by_id.is_empty() && self.by_parameter_group.is_empty()
     }
 
-    /// Parses the bytes of a DBC file in UTF-8 or Windows-1252; `path` only names it.
-    ///
-    /// # Errors
-    /// [`MdfError::Dbc`] if the text is no DBC file, or exceeds a limit.
-    pub fn parse(bytes: &[u8], path: &Path) -> Result<Self, MdfError> {
-        let error = |line, problem| MdfError::Dbc { path: path.to_owned(), line, problem };
-        if bytes.len() as u64 > MAX_DBC_BYTES {
-            return Err(error(None, format!("has more than {MAX_DBC_BYTES} bytes")));
-        }
-        let (text, _, _) = encoding_rs::WINDOWS_1252.decode(bytes);
-        let text = std::str::from_utf8(bytes).unwrap_or(&text);
-        let dbc = Dbc::try_from(text).map_err(|problem| {
-            // A syntax error contains ` --> line:column` and the names of grammar rules.
-            let problem = problem.to_string();
-            let line = problem.split_once("--> ").and_then(|(_, rest)| rest.split(':').next()?.trim().parse().ok());
-            match line {
-                Some(line) => error(Some(line), "this is no valid line of a DBC file".to_owned()),
-                None => error(None, problem.split_whitespace().collect::<Vec<_>>().join(" ")),
-            }
-        })?;
-        Ok(Self { dbc, path: path.to_owned(), text: text.to_owned() })
+    pub(super) fn insert(&mut self, id: MessageId, message: FrameMessage) {
+        self.by_id.insert(id, message);
     }
 
-    /// Returns an error at the last definition of a message, or at a signal of it.
-    fn error(&self, message: &Message, signal: Option<&str>, problem: String) -> MdfError {
-        let starts = |line: &str, words: [&str; 2]| {
-            let mut found = line.split(|letter: char| letter.is_whitespace() || letter == ':');
-            let mut found = found.by_ref().filter(|word| !word.is_empty());
-            words.into_iter().all(|word| found.next() == Some(word))
-        };
-        let id = message.id.raw().to_string();
-        let begin = self.text.lines().enumerate().filter(|(_, line)| starts(line, ["BO_", &id])).last();
-        let line = begin.and_then(|(from, _)| match signal {
-            None => Some(from),
-            Some(signal) => (from..)
-                .zip(self.text.lines().skip(from))
-                .find(|(_, line)| starts(line, ["SG_", signal]))
-                .map(|(at, _)| at),
-        });
-        MdfError::Dbc { path: self.path.clone(), line: line.map(|line| line + 1), problem }
+    /// Adds a message of J1939 from any sender. Returns false if there is one of its group.
+    pub(super) fn insert_group(&mut self, id: u32, message: FrameMessage) -> bool {
+        self.by_parameter_group.insert(parameter_group(id), message).is_none()
     }
 
-    /// Adds the wanted signals and returns their decoder. The error is a message that is defined twice, or a signal
-    /// beyond the end of its message. A name may begin with that of the message and a point.
-    pub(super) fn decoder(
-        &self,
-        wanted: &dyn Fn(&str) -> bool,
-        signals: &mut SignalSet,
-    ) -> Result<FrameDecoder, MdfError> {
-        let mut decoder = FrameDecoder::new();
-        for message in &self.dbc.messages {
-            let name = |signal: &DbcSignal| {
-                let qualified = format!("{}.{}", message.name, signal.name);
-                [qualified, signal.name.clone()].into_iter().find(|name| wanted(name))
-            };
-            let wanted: Vec<_> = message.signals.iter().filter_map(|signal| Some((signal, name(signal)?))).collect();
-            if !wanted.is_empty() && decoder.contains_key(&message.id) {
-                return Err(self.error(message, None, format!("message {} is defined twice", message.id.raw())));
-            }
-            for (signal, name) in wanted {
-                let start = match signal.byte_order {
-                    // Bits count from the least significant one of each byte.
-                    ByteOrder::BigEndian => signal.start_bit ^ 7,
-                    ByteOrder::LittleEndian => signal.start_bit,
-                };
-                if start.saturating_add(signal.size) > message.size.saturating_mul(8) {
-                    let problem =
-                        format!("signal {} goes beyond the {} bytes of its message", signal.name, message.size);
-                    return Err(self.error(message, Some(&signal.name), problem));
-                }
-                if signal.factor == 0.0 {
-                    let problem = format!("signal {} has the factor 0", signal.name);
-                    return Err(self.error(message, Some(&signal.name), problem));
-                }
-                // Frames without the signal, by a multiplexer, have no place in its clock.
-                let clock = signals.add_clock();
-                let index = signals.add(name, signal.unit.clone(), clock);
-                let found = self.frame_signal(message, signal, index);
-                decoder.entry(message.id).or_default().push(found);
-            }
-        }
-        Ok(decoder)
-    }
-
-    fn frame_signal(&self, message: &Message, signal: &DbcSignal, index: usize) -> FrameSignal {
-        let place = |signal: &DbcSignal| Place {
-            start: signal.start_bit,
-            size: u32::try_from(signal.size).unwrap_or(0),
-            is_big_endian: signal.byte_order == ByteOrder::BigEndian,
-            kind: self
-                .dbc
-                .extended_value_type_for_signal(message.id, &signal.name)
-                .copied()
-                .unwrap_or(SignalExtendedValueType::SignedOrUnsignedInteger),
-            is_signed: signal.value_type == ValueType::Signed,
-        };
-        let mut selectors = Vec::new();
-        let mut current = signal;
-        // Multiplexers may be multiplexed themselves; a DBC file in which they form a circle selects nothing.
-        while selectors.len() < message.signals.len()
-            && let Some((by, values)) = self.multiplexer(message, current)
+    /// Reserves an id for a message without wanted signals, if another message would otherwise decode its frames.
+    pub(super) fn reserve(&mut self, id: MessageId) {
+        if let MessageId::Extended(number) = id
+            && self.by_parameter_group.contains_key(&parameter_group(number))
         {
-            selectors.push((place(by), values));
-            current = by;
+            self.by_id.entry(id).or_default();
         }
-        FrameSignal { index, place: place(signal), selectors, factor: signal.factor, offset: signal.offset }
     }
 
-    /// Returns the multiplexer of a signal, and the ranges of its values that select the signal.
-    fn multiplexer<'m>(&self, message: &'m Message, signal: &DbcSignal) -> Option<(&'m DbcSignal, Vec<[u64; 2]>)> {
-        let extended = |one: &&ExtendedMultiplex| one.message_id == message.id && one.signal_name == signal.name;
-        if let Some(found) = self.dbc.extended_multiplex.iter().find(extended) {
-            let by = message.signals.iter().find(|one| one.name == found.multiplexor_signal_name)?;
-            return Some((by, found.mappings.iter().map(|range| [range.min_value, range.max_value]).collect()));
+    /// Rejects a signal that no frame contained.
+    pub(super) fn check_frames(&self) -> Result<(), MdfError> {
+        let messages = self.by_id.values().chain(self.by_parameter_group.values());
+        let absent = messages.flat_map(|message| message.signals.iter().map(move |signal| (message, signal)));
+        let absent = absent.filter(|(_, signal)| signal.origin.is_none());
+        let Some((message, signal)) = absent.min_by_key(|(_, signal)| signal.index) else { return Ok(()) };
+        let chosen = [("on the bus channel", message.bus_channel), ("from the source address", message.source_address)];
+        let chosen = chosen.into_iter().filter_map(|(what, number)| Some(format!(" {what} {}", number?)));
+        let message = format!("{}{}", message.label, chosen.collect::<String>());
+        Err(MdfError::NoFrame { signal: signal.name.clone(), message })
+    }
+
+    /// Passes on the index and the value of each signal of a frame.
+    ///
+    /// # Errors
+    /// [`MdfError::Ambiguous`] if earlier values came from another bus channel or sender; errors of `add`.
+    pub(super) fn decode(
+        &mut self,
+        frame: &Frame<'_>,
+        add: &mut dyn FnMut(usize, f64) -> Result<(), MdfError>,
+    ) -> Result<(), MdfError> {
+        if let Some(message) = self.by_id.get_mut(&frame.id) {
+            return message.decode(frame, None, add);
         }
-        let value = match signal.multiplexer_indicator {
-            MultiplexIndicator::MultiplexedSignal(value)
-            | MultiplexIndicator::MultiplexorAndMultiplexedSignal(value) => value,
-            _ => return None,
-        };
-        let by = message.signals.iter().find(|one| one.multiplexer_indicator == MultiplexIndicator::Multiplexor)?;
-        Some((by, vec![[value, value]]))
+        let MessageId::Extended(id) = frame.id else { return Ok(()) };
+        match self.by_parameter_group.get_mut(&parameter_group(id)) {
+            Some(message) => message.decode(frame, Some(u64::from(id & 0xff)), add),
+            None => Ok(()),
+        }
+    }
+}
+
+impl FrameMessage {
+    fn decode(
+        &mut self,
+        frame: &Frame<'_>,
+        source_address: Option<u64>,
+        add: &mut dyn FnMut(usize, f64) -> Result<(), MdfError>,
+    ) -> Result<(), MdfError> {
+        let is_other = |found: Option<u64>, chosen: Option<u64>| found.zip(chosen).is_some_and(|(a, b)| a != b);
+        if is_other(frame.bus_channel, self.bus_channel) || is_other(source_address, self.source_address) {
+            return Ok(());
+        }
+        for signal in &mut self.signals {
+            if let Some(value) = signal.decode(frame.bytes) {
+                signal.check_origin([frame.bus_channel, source_address])?;
+                add(signal.index, value)?;
+            }
+        }
+        Ok(())
     }
 }
 
 impl FrameSignal {
-    /// Returns index and value of the signal; `None` if the frame does not contain it.
-    pub(super) fn decode(&self, frame: &[u8]) -> Option<(usize, f64)> {
-        let is_selected = |(by, ranges): &(Place, Vec<[u64; 2]>)| {
-            by.raw(frame).is_some_and(|raw| ranges.iter().any(|[low, high]| (*low..=*high).contains(&raw)))
-        };
-        let value = self.selectors.iter().all(is_selected).then(|| self.place.value(frame)).flatten()?;
-        Some((self.index, value * self.factor + self.offset))
+    /// Returns the value of the signal, NaN if missing; `None` if the frame does not contain it.
+    fn decode(&self, frame: &[u8]) -> Option<f64> {
+        if !self.selectors.iter().all(|selector| selector.selects(frame)) {
+            return None;
+        }
+        let raw = self.place.raw(frame)?;
+        if self.reserved_from.is_some_and(|reserved| raw >= reserved) {
+            return Some(f64::NAN);
+        }
+        Some(self.place.number(raw) * self.factor + self.offset)
+    }
+
+    /// Rejects values from a second bus channel or sender, which are of another sensor.
+    fn check_origin(&mut self, found: [Option<u64>; 2]) -> Result<(), MdfError> {
+        let known = *self.origin.get_or_insert(found);
+        if known == found {
+            return Ok(());
+        }
+        let kinds = [("bus channels", "bus_channel"), ("source addresses", "source_address")];
+        for ((known, found), (origin, key)) in known.into_iter().zip(found).zip(kinds) {
+            if let Some((first, second)) = known.zip(found).filter(|(known, found)| known != found) {
+                return Err(MdfError::Ambiguous { signal: self.name.clone(), origin, first, second, key });
+            }
+        }
+        Ok(())
     }
 }
 
-impl Place {
+impl Selector {
+    pub(super) fn new(place: BitPlace, mut ranges: Vec<[u64; 2]>) -> Self {
+        ranges.retain(|[low, high]| low <= high);
+        ranges.sort_unstable();
+        ranges.dedup_by(|next, before| {
+            let touches = next[0] <= before[1];
+            if touches {
+                before[1] = before[1].max(next[1]);
+            }
+            touches
+        });
+        Self { place, ranges }
+    }
+
+    fn selects(&self, frame: &[u8]) -> bool {
+        let Some(raw) = self.place.raw(frame) else { return false };
+        let place = self.ranges.partition_point(|[_, high]| *high < raw);
+        self.ranges.get(place).is_some_and(|[low, _]| *low <= raw)
+    }
+}
+
+impl BitPlace {
     /// Returns the bits; `None` if the frame is too short.
     fn raw(&self, frame: &[u8]) -> Option<u64> {
         if !(1..=64).contains(&self.size) {
@@ -213,13 +222,24 @@ impl Place {
         Some(raw)
     }
 
-    fn value(&self, frame: &[u8]) -> Option<f64> {
-        let raw = self.raw(frame)?;
+    fn number(&self, raw: u64) -> f64 {
         match self.kind {
-            SignalExtendedValueType::IEEEfloat32Bit => Some(f64::from(f32::from_bits(raw as u32))),
-            SignalExtendedValueType::IEEEdouble64bit => Some(f64::from_bits(raw)),
-            _ if self.is_signed => Some(sign_extend(raw, self.size) as f64),
-            _ => Some(raw as f64),
+            SignalExtendedValueType::IEEEfloat32Bit => f64::from(f32::from_bits(raw as u32)),
+            SignalExtendedValueType::IEEEdouble64bit => f64::from_bits(raw),
+            _ if self.is_signed => sign_extend(raw, self.size) as f64,
+            _ => raw as f64,
+        }
+    }
+
+    /// Returns the first raw value that J1939 reserves, for whole numbers without sign (SAE J1939-71: from 0xFB in the
+    /// first byte on; the last two values of fewer bits).
+    pub(super) fn reserved_from(&self) -> Option<u64> {
+        let is_integer = matches!(self.kind, SignalExtendedValueType::SignedOrUnsignedInteger) && !self.is_signed;
+        match self.size {
+            2..=64 if !is_integer => None,
+            size @ (8 | 16 | 24 | 32 | 40 | 48 | 56 | 64) => Some(0xfb << (size - 8)),
+            size @ 2..=63 => Some((1 << size) - 2),
+            _ => None,
         }
     }
 }

@@ -1,7 +1,8 @@
 //! Channels: the value of a record, as a number in the channel's unit.
 
-use super::MdfError;
 use super::blocks::{Block, Blocks};
+use super::conversion::Conversion;
+use super::{MdfError, SignalUse};
 
 /// A channel of fixed place in its records.
 #[derive(Debug, Clone)]
@@ -10,7 +11,7 @@ pub(super) struct Channel {
     pub(super) unit: String,
     bits: BitField,
     kind: RawValueKind,
-    conversion: ChannelConversion,
+    conversion: Conversion,
     /// Bit of the record that is set if the value is invalid.
     invalid_bit: Option<usize>,
 }
@@ -34,30 +35,15 @@ enum RawValueKind {
     Index,
 }
 
-#[derive(Debug, Clone)]
-enum ChannelConversion {
-    Identity,
-    Linear {
-        offset: f64,
-        factor: f64,
-    },
-    Rational([f64; 6]),
-    /// Keys and values; the nearest key counts unless values are interpolated.
-    Table {
-        points: Vec<[f64; 2]>,
-        is_interpolated: bool,
-    },
-    /// Ranges with their values, and the value of all others.
-    Ranges {
-        ranges: Vec<[f64; 3]>,
-        includes_end: bool,
-        otherwise: f64,
-    },
-}
-
 impl Channel {
-    /// Reads a channel; `None` for one without numbers, such as a text.
-    pub(super) fn read(blocks: &mut Blocks, block: &Block, record_bytes: u64) -> Result<Option<Self>, MdfError> {
+    /// Reads a channel; `None` for one without numbers, such as a text. Ids keep their numbers where a conversion has
+    /// texts.
+    pub(super) fn read(
+        blocks: &mut Blocks,
+        block: &Block,
+        record_bytes: u64,
+        use_of: SignalUse,
+    ) -> Result<Option<Self>, MdfError> {
         let kind = block.number(0, 1)?;
         let data_type = block.number(2, 1)?;
         let (bit_offset, byte_offset, bit_count) = (block.number(3, 1)?, block.number(4, 4)?, block.number(8, 4)?);
@@ -92,10 +78,15 @@ impl Channel {
             // All values are invalid.
             _ => return Ok(None),
         };
-        let (name, unit) = (blocks.text(block.link(2))?, blocks.text(block.link(6))?);
+        let (name, mut unit) = (blocks.text(block.link(2))?, blocks.text(block.link(6))?);
         let conversion = match blocks.find(block.link(4), b"CC")? {
-            Some(conversion) => ChannelConversion::read(&conversion, value == RawValueKind::Float)?,
-            None => ChannelConversion::Identity,
+            Some(conversion) => {
+                if unit.is_empty() {
+                    unit = blocks.text(conversion.link(1))?;
+                }
+                Conversion::read(blocks, &conversion, value == RawValueKind::Float, use_of)?
+            }
+            None => Conversion::Identity,
         };
         Ok(Some(Self { name, unit, bits, kind: value, conversion, invalid_bit }))
     }
@@ -145,53 +136,4 @@ impl BitField {
 pub(super) fn sign_extend(raw: u64, count: u32) -> i64 {
     let unused = 64 - count;
     (raw << unused) as i64 >> unused
-}
-
-impl ChannelConversion {
-    fn read(block: &Block, is_float: bool) -> Result<Self, MdfError> {
-        let values = block.floats(24);
-        Ok(match (block.number(0, 1)?, &values[..]) {
-            // Texts do not replace the number.
-            (0 | 7..=10, _) => Self::Identity,
-            (1, &[offset, factor, ..]) => Self::Linear { offset, factor },
-            (2, &[a, b, c, d, e, f, ..]) => Self::Rational([a, b, c, d, e, f]),
-            (3, _) => return Err(MdfError::Unsupported("a conversion by an algebraic formula".to_owned())),
-            (kind @ (4 | 5), points) if points.len() >= 2 => {
-                let points = points.chunks_exact(2).map(|pair| [pair[0], pair[1]]).collect();
-                Self::Table { points, is_interpolated: kind == 4 }
-            }
-            (6, ranges) if !ranges.is_empty() => {
-                let otherwise = ranges.last().copied().unwrap_or(f64::NAN);
-                let ranges = ranges.chunks_exact(3).map(|one| [one[0], one[1], one[2]]).collect();
-                Self::Ranges { ranges, includes_end: !is_float, otherwise }
-            }
-            _ => return Err(block.damaged("the conversion lacks values")),
-        })
-    }
-
-    fn apply(&self, raw: f64) -> f64 {
-        match self {
-            Self::Identity => raw,
-            // Adding 0 would change the sign of a negative 0.
-            Self::Linear { offset: 0.0, factor } => raw * factor,
-            Self::Linear { offset, factor } => raw * factor + offset,
-            Self::Rational([0.0, b, 0.0, 0.0, 0.0, f]) => raw * (b / f),
-            Self::Rational([a, b, c, d, e, f]) => (a * raw * raw + b * raw + c) / (d * raw * raw + e * raw + f),
-            Self::Table { points, is_interpolated } => {
-                let after = points.partition_point(|[key, _]| *key <= raw);
-                let point = |index: usize| points.get(index.min(points.len() - 1)).copied().unwrap_or([f64::NAN; 2]);
-                let ([low, first], [high, second]) = (point(after.saturating_sub(1)), point(after));
-                match high > low {
-                    true if *is_interpolated => first + (second - first) / (high - low) * (raw - low),
-                    true if raw - low > high - raw => second,
-                    _ => first,
-                }
-            }
-            Self::Ranges { ranges, includes_end, otherwise } => {
-                let is_in = |[low, high, _]: &&[f64; 3]| *low <= raw && (raw < *high || *includes_end && raw == *high);
-                let found = ranges.iter().find(is_in);
-                found.map_or(*otherwise, |[_, _, value]| *value)
-            }
-        }
-    }
 }

@@ -3,9 +3,9 @@
 use std::ops::Range;
 
 use super::blocks::{Block, Blocks, DataCursor, little_endian};
-use super::can::FrameDecoder;
+use super::can::{Frame, FrameDecoder};
 use super::channel::Channel;
-use super::{MAX_CHANNELS, MdfError, SignalSet};
+use super::{MAX_CHANNELS, MdfError, SignalSet, SignalUse};
 use can_dbc::MessageId;
 
 const MAX_RECORD_BYTES: usize = 1 << 20;
@@ -21,6 +21,8 @@ const BYTE_ARRAY: u64 = 10;
 pub(super) struct DataGroup {
     id_bytes: usize,
     groups: Vec<Group>,
+    /// Id and index of each group, by id.
+    index_by_id: Vec<(u64, usize)>,
     /// Bytes of an incomplete record.
     rest: Vec<u8>,
     data: DataCursor,
@@ -49,6 +51,9 @@ struct FrameLayout {
     id: Channel,
     is_extended: Option<Channel>,
     length: Option<Channel>,
+    bus_channel: Option<Channel>,
+    /// Number of the bus of all frames, if they do not state it.
+    bus_of_group: Option<u64>,
     /// First byte and number of bytes of the data.
     data: [usize; 2],
 }
@@ -57,7 +62,7 @@ impl DataGroup {
     pub(super) fn read(
         blocks: &mut Blocks,
         block: &Block,
-        wanted: &dyn Fn(&str) -> bool,
+        wanted: &dyn Fn(&str) -> Option<SignalUse>,
         (decoder, signals): (&FrameDecoder, &mut SignalSet),
     ) -> Result<Self, MdfError> {
         let id_bytes = block.number(0, 1)? as usize;
@@ -75,7 +80,10 @@ impl DataGroup {
         let is_needed = groups.iter().any(Group::is_needed);
         let offsets = if is_needed { blocks.data_blocks(block.link(2))? } else { Vec::new() };
         let data = DataCursor::new(offsets);
-        Ok(Self { id_bytes, groups, rest: Vec::new(), data, at: block.at, newest_s: f64::NEG_INFINITY })
+        let mut index_by_id: Vec<(u64, usize)> = groups.iter().map(|group| group.id).zip(0..).collect();
+        index_by_id.sort_unstable();
+        let (rest, newest_s) = (Vec::new(), f64::NEG_INFINITY);
+        Ok(Self { id_bytes, groups, index_by_id, rest, data, at: block.at, newest_s })
     }
 
     pub(super) fn is_needed(&self) -> bool {
@@ -86,7 +94,7 @@ impl DataGroup {
     pub(super) fn advance(
         &mut self,
         blocks: &mut Blocks,
-        decoder: &FrameDecoder,
+        decoder: &mut FrameDecoder,
         signals: &mut SignalSet,
     ) -> Result<bool, MdfError> {
         let Some(chunk) = self.data.next_chunk(blocks)? else {
@@ -94,22 +102,24 @@ impl DataGroup {
             return if self.rest.is_empty() { Ok(false) } else { Err(damaged) };
         };
         // Records are contiguous, except for one at the border of two chunks.
-        let joined;
-        let mut bytes = if self.rest.is_empty() {
-            &chunk[..]
+        let is_continued = !self.rest.is_empty();
+        let mut bytes = if is_continued {
+            let mut joined = std::mem::take(&mut self.rest);
+            joined.extend_from_slice(&chunk);
+            joined
         } else {
-            self.rest.extend_from_slice(&chunk);
-            joined = std::mem::take(&mut self.rest);
-            &joined[..]
+            chunk
         };
-        while let Some((index, content)) = self.next_record(bytes)? {
-            let end = content.end;
-            if let Some(time_s) = self.groups[index].add(&bytes[content], decoder, signals)? {
+        let mut from = 0;
+        while let Some((index, content)) = self.next_record(&bytes[from..])? {
+            let (start, end) = (from + content.start, from + content.end);
+            if let Some(time_s) = self.groups[index].add(&bytes[start..end], decoder, signals)? {
                 self.newest_s = time_s;
             }
-            bytes = &bytes[end..];
+            from = end;
         }
-        self.rest.extend_from_slice(bytes);
+        bytes.drain(..from);
+        self.rest = bytes;
         Ok(true)
     }
 
@@ -117,9 +127,10 @@ impl DataGroup {
     /// variable length; `None` if the record is incomplete.
     fn next_record(&self, bytes: &[u8]) -> Result<Option<(usize, Range<usize>)>, MdfError> {
         let Some(id) = little_endian(bytes, 0, self.id_bytes).filter(|_| !bytes.is_empty()) else { return Ok(None) };
-        let found = self.groups.iter().position(|group| self.id_bytes == 0 || group.id == id);
+        let place = if self.id_bytes == 0 { 0 } else { self.index_by_id.partition_point(|(known, _)| *known < id) };
+        let found = self.index_by_id.get(place).filter(|(known, _)| self.id_bytes == 0 || *known == id);
         let unknown = MdfError::Damaged { offset: 0, problem: "a record has an unknown id" };
-        let index = found.ok_or(unknown)?;
+        let index = found.ok_or(unknown)?.1;
         let group = &self.groups[index];
         if group.has_variable_length {
             let length = little_endian(bytes, self.id_bytes, 4).map(|length| self.id_bytes + 4 + length as usize);
@@ -137,7 +148,7 @@ impl Group {
     fn read(
         blocks: &mut Blocks,
         block: &Block,
-        wanted: &dyn Fn(&str) -> bool,
+        wanted: &dyn Fn(&str) -> Option<SignalUse>,
         (decoder, signals): (&FrameDecoder, &mut SignalSet),
     ) -> Result<Self, MdfError> {
         let (id, flags) = (block.number(0, 8)?, block.number(16, 2)?);
@@ -152,8 +163,10 @@ impl Group {
         if !(1..=MAX_RECORD_BYTES).contains(&record_bytes) {
             return Err(block.damaged("the length of a record is wrong"));
         }
-        let clock = signals.add_clock();
+        // The clock is added if the group is needed.
+        let clock = signals.clocks_s.len();
         let (mut frame_id, mut is_extended, mut length, mut data) = (None, None, None, None);
+        let mut bus_channel = None;
         let mut pending = vec![block.link(1)];
         let mut channels = 0;
         while let Some(at) = pending.pop() {
@@ -164,7 +177,7 @@ impl Group {
             }
             pending.push(channel.link(0));
             // Members of a structure; arrays are no signals.
-            if blocks.is_channel(channel.link(1)) {
+            if blocks.is_of_type(channel.link(1), b"CN") {
                 pending.push(channel.link(1));
             }
             let name = blocks.text(channel.link(2))?;
@@ -178,21 +191,28 @@ impl Group {
                 }
                 data = Some(place);
             }
-            if !(is_clock || part.is_some() || wanted(&name)) {
+            let use_of = wanted(&name);
+            if !(is_clock || part.is_some() || use_of.is_some()) {
                 continue;
             }
-            let Some(read) = Channel::read(blocks, &channel, data_bytes)? else { continue };
+            let use_of = use_of.unwrap_or(SignalUse::Number);
+            let Some(read) = Channel::read(blocks, &channel, data_bytes, use_of)? else { continue };
             match part {
                 _ if is_clock => group.clock = Some((clock, read)),
                 Some("ID") => frame_id = Some(read),
                 Some("IDE") => is_extended = Some(read),
                 Some("DataLength") => length = Some(read),
+                Some("BusChannel") => bus_channel = Some(read),
                 Some(_) => {}
                 None => group.channels.push((signals.add(read.name.clone(), read.unit.clone(), clock), read)),
             }
         }
         if let (Some(id), Some(data)) = (frame_id, data) {
-            group.frames = Some(FrameLayout { id, is_extended, length, data });
+            let bus_of_group = if bus_channel.is_none() { bus_of_group(blocks, block)? } else { None };
+            group.frames = Some(FrameLayout { id, is_extended, length, bus_channel, bus_of_group, data });
+        }
+        if group.is_needed() {
+            signals.add_clock();
         }
         if group.is_needed() && (group.clock.is_none() || flags & FLAG_REMOTE_MASTER != 0) {
             return Err(MdfError::Unsupported("signals without a clock in their group".to_owned()));
@@ -205,7 +225,12 @@ impl Group {
     }
 
     /// Adds the values of a record. Returns its time.
-    fn add(&mut self, record: &[u8], decoder: &FrameDecoder, signals: &mut SignalSet) -> Result<Option<f64>, MdfError> {
+    fn add(
+        &mut self,
+        record: &[u8],
+        decoder: &mut FrameDecoder,
+        signals: &mut SignalSet,
+    ) -> Result<Option<f64>, MdfError> {
         let Some((clock, master)) = self.clock.as_ref().filter(|_| self.is_needed()) else { return Ok(None) };
         let time_s = master.value(record, self.rows);
         if !self.channels.is_empty() {
@@ -215,10 +240,11 @@ impl Group {
             }
         }
         if let Some(layout) = &self.frames {
-            for (signal, value) in layout.decode(record, decoder) {
+            layout.decode(record, decoder, &mut |signal, value| {
                 signals.add_time(signals.signals[signal].clock, time_s, 1)?;
                 signals.signals[signal].values.push(value);
-            }
+                Ok(())
+            })?;
         }
         self.rows += 1;
         Ok(Some(time_s))
@@ -226,8 +252,13 @@ impl Group {
 }
 
 impl FrameLayout {
-    /// Returns the signals of a frame and their values.
-    fn decode<'d>(&self, record: &'d [u8], decoder: &'d FrameDecoder) -> impl Iterator<Item = (usize, f64)> + use<'d> {
+    /// Passes on the signals of a frame and their values.
+    fn decode(
+        &self,
+        record: &[u8],
+        decoder: &mut FrameDecoder,
+        add: &mut dyn FnMut(usize, f64) -> Result<(), MdfError>,
+    ) -> Result<(), MdfError> {
         let id = self.id.raw(record);
         let is_extended = match &self.is_extended {
             Some(flag) => flag.raw(record) != 0,
@@ -237,9 +268,23 @@ impl FrameLayout {
             true => MessageId::Extended((id & 0x1fff_ffff) as u32),
             false => MessageId::Standard((id & 0x7ff) as u16),
         };
+        let bus_channel = self.bus_channel.as_ref().map(|channel| channel.raw(record)).or(self.bus_of_group);
         let [from, count] = self.data;
         let count = self.length.as_ref().map_or(count, |length| count.min(length.raw(record) as usize));
         let frame = record.get(from..from + count).unwrap_or_default();
-        decoder.get(&id).into_iter().flatten().filter_map(move |signal| signal.decode(frame))
+        decoder.decode(&Frame { id, bus_channel, bytes: frame }, add)
     }
+}
+
+/// Returns the number of the bus in the name or the source of a group, such as `CAN 2`.
+fn bus_of_group(blocks: &mut Blocks, group: &Block) -> Result<Option<u64>, MdfError> {
+    let mut names = vec![blocks.text(group.link(2))?];
+    if let Some(source) = blocks.find(group.link(3), b"SI")? {
+        names.extend([blocks.text(source.link(0))?, blocks.text(source.link(1))?]);
+    }
+    let number = |name: &String| {
+        let (bus, number) = name.split_at_checked(3)?;
+        number.trim_matches([' ', '-', '_']).parse().ok().filter(|_| bus.eq_ignore_ascii_case("can"))
+    };
+    Ok(names.iter().find_map(number))
 }

@@ -6,24 +6,34 @@
 mod blocks;
 mod can;
 mod channel;
+mod conversion;
+mod dbc;
 mod group;
 #[cfg(test)]
+mod test_file;
+#[cfg(test)]
 mod tests;
+#[cfg(test)]
+mod value_tests;
 
 use std::io::{Read, Seek};
 use std::path::PathBuf;
 
 use blocks::Blocks;
-pub use can::DbcFile;
 use can::FrameDecoder;
+pub use dbc::DbcFile;
 use group::DataGroup;
+
+use super::limits;
 
 /// Maximum number of values in memory: 160 MB.
 const MAX_VALUES: usize = 20_000_000;
 /// Number of values from which on those that are not needed any more are removed: 32 MB.
 const BUFFER_VALUES: usize = 4_000_000;
-/// Maximum number of channels of a file.
+/// Maximum number of channels of a group.
 const MAX_CHANNELS: usize = 100_000;
+/// Maximum number of groups of data with signals of the map.
+const MAX_DATA_GROUPS: usize = 1000;
 
 /// A file, or its bytes.
 pub trait MdfSource: Read + Seek {}
@@ -58,9 +68,46 @@ pub enum MdfError {
         /// Problem of the file.
         problem: String,
     },
-    /// More values than this release holds in memory.
-    #[error("more than {MAX_VALUES} values of the signals of the map: split the recording")]
-    TooLarge,
+    /// A signal that no frame of the file contains.
+    #[error("the file has no frame with the signal {signal} of the message {message}")]
+    NoFrame {
+        /// Name of the signal.
+        signal: String,
+        /// Message, with the choice of the map.
+        message: String,
+    },
+    /// A signal of frames of several bus channels, or of several senders.
+    #[error(
+        "the signal {signal} is in frames of the {origin} {first} and {second}: choose one with `{key}` in the map"
+    )]
+    Ambiguous {
+        /// Name of the signal.
+        signal: String,
+        /// Plural of what differs.
+        origin: &'static str,
+        /// Number of the first frame.
+        first: u64,
+        /// Other number.
+        second: u64,
+        /// Key of the map that chooses one.
+        key: &'static str,
+    },
+    /// More than this release holds in memory, or than a file of this size should have.
+    #[error("more than {limit} {what}: split the recording")]
+    TooLarge {
+        /// Limit.
+        limit: u64,
+        /// Unit of the limit.
+        what: &'static str,
+    },
+}
+
+/// Use of a signal by the map.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum SignalUse {
+    Number,
+    /// An id of a vehicle, a lane or an event.
+    Id,
 }
 
 /// Signals with their clocks.
@@ -72,6 +119,9 @@ pub struct SignalSet {
     pub clocks_s: Vec<Vec<f64>>,
     /// Number of values and times.
     values: usize,
+    /// Number of values and times that were read, and its limit.
+    read: u64,
+    max_read: u64,
     /// Time from which on all further values must be, in seconds.
     from_s: Option<f64>,
 }
@@ -94,33 +144,50 @@ pub(super) struct SignalStream {
     blocks: Blocks,
     decoder: FrameDecoder,
     groups: Vec<DataGroup>,
+    /// Time up to which all values are read; `None` at the end of the file.
+    read_until_s: Option<f64>,
     /// Values that were read and are still needed.
     pub(super) set: SignalSet,
 }
 
 impl SignalStream {
-    /// Opens a file for the signals with wanted names.
+    /// Opens a file for the wanted signals.
     pub(super) fn open(
         source: impl MdfSource + 'static,
         dbc: Option<&DbcFile>,
-        wanted: &dyn Fn(&str) -> bool,
+        wanted: &dyn Fn(&str) -> Option<SignalUse>,
     ) -> Result<Self, MdfError> {
         let mut blocks = Blocks::new(Box::new(source))?;
-        let mut set = SignalSet::default();
+        let mut set = SignalSet { max_read: limits::max_values(blocks.file_bytes()), ..SignalSet::default() };
         let decoder = dbc.map(|dbc| dbc.decoder(wanted, &mut set)).transpose()?.unwrap_or_default();
         let mut groups = Vec::new();
         let mut at = blocks.read(64, b"HD")?.link(0);
         while let Some(block) = blocks.find_once(at, b"DG")? {
             let group = DataGroup::read(&mut blocks, &block, wanted, (&decoder, &mut set))?;
             groups.extend(Some(group).filter(DataGroup::is_needed));
+            if groups.len() > MAX_DATA_GROUPS {
+                let (limit, what) = (MAX_DATA_GROUPS as u64, "groups with signals of the map");
+                return Err(MdfError::TooLarge { limit, what });
+            }
             at = block.link(0);
         }
-        Ok(Self { blocks, decoder, groups, set })
+        let read_until_s = groups.first().map(|_| f64::NEG_INFINITY);
+        Ok(Self { blocks, decoder, groups, read_until_s, set })
+    }
+
+    /// Returns the size of the file.
+    pub(super) fn file_bytes(&self) -> u64 {
+        self.blocks.file_bytes()
     }
 
     /// Returns the time up to which all values are read; `None` at the end of the file.
     pub(super) fn read_until_s(&self) -> Option<f64> {
-        self.groups.iter().map(|group| group.newest_s).min_by(f64::total_cmp)
+        self.read_until_s
+    }
+
+    /// Rejects signals of a DBC file that no frame contained, at the end of the file.
+    pub(super) fn check_frames(&self) -> Result<(), MdfError> {
+        self.decoder.check_frames()
     }
 
     /// Returns whether the memory for values is used.
@@ -130,12 +197,13 @@ impl SignalStream {
 
     /// Reads a chunk of the group whose values end first. Returns false at the end of the file.
     pub(super) fn advance(&mut self) -> Result<bool, MdfError> {
-        let Self { blocks, decoder, groups, set } = self;
+        let Self { blocks, decoder, groups, set, .. } = self;
         let lagging = groups.iter().enumerate().min_by(|(_, a), (_, b)| a.newest_s.total_cmp(&b.newest_s));
         let Some(index) = lagging.map(|(index, _)| index) else { return Ok(false) };
         if !groups[index].advance(blocks, decoder, set)? {
             groups.remove(index);
         }
+        self.read_until_s = self.groups.iter().map(|group| group.newest_s).min_by(f64::total_cmp);
         Ok(true)
     }
 }
@@ -150,7 +218,7 @@ impl SignalSet {
         dbc: Option<&DbcFile>,
         wanted: &dyn Fn(&str) -> bool,
     ) -> Result<Self, MdfError> {
-        let mut stream = SignalStream::open(source, dbc, wanted)?;
+        let mut stream = SignalStream::open(source, dbc, &|name| wanted(name).then_some(SignalUse::Number))?;
         while stream.advance()? {}
         Ok(stream.set)
     }
@@ -175,7 +243,17 @@ impl SignalSet {
         }
         self.clocks_s[clock].push(time_s);
         self.values += 1 + values;
-        if self.values > MAX_VALUES { Err(MdfError::TooLarge) } else { Ok(()) }
+        self.read += 1 + values as u64;
+        if self.values > MAX_VALUES {
+            return Err(MdfError::TooLarge {
+                limit: MAX_VALUES as u64,
+                what: "values of the signals of the map in memory",
+            });
+        }
+        if self.read > self.max_read {
+            return Err(MdfError::TooLarge { limit: self.max_read, what: "values of the signals of the map" });
+        }
+        Ok(())
     }
 
     fn add_clock(&mut self) -> usize {

@@ -135,6 +135,16 @@ fn order_rows(points: &[TrackPoint]) -> Vec<u128> {
     order
 }
 
+/// Returns the index of the first instant after a time. Mostly it is one of the first, so the search doubles its steps:
+/// a walk would visit all instants for each vehicle that is long absent.
+fn later_instants(instants: &[u64], time: u64) -> usize {
+    let mut end = 1;
+    while instants.get(end).is_some_and(|&instant| instant <= time) {
+        end *= 2;
+    }
+    instants.get(..end.min(instants.len())).unwrap_or_default().partition_point(|&instant| instant <= time)
+}
+
 /// Returns the absences during which other vehicles have rows, in order of their starts. A vehicle is also absent from
 /// a lane that it leaves for at most `blip_ms`.
 fn absences(points: &[TrackPoint], order: &[u128], blip_ms: i64) -> Vec<Absence> {
@@ -156,9 +166,7 @@ fn absences(points: &[TrackPoint], order: &[u128], blip_ms: i64) -> Vec<Absence>
                 absences.push(Absence::new(a, b));
             }
             a = b;
-            while instants.get(next).is_some_and(|&instant| instant <= sortable(a.time_ms)) {
-                next += 1;
-            }
+            next += later_instants(instants.get(next..).unwrap_or_default(), sortable(a.time_ms));
         }
     }
     absences.sort_by_key(|absence| absence.from_ms);

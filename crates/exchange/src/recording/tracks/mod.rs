@@ -127,6 +127,11 @@ pub(super) fn sort(points: &mut Vec<TrackPoint>) -> Option<(TrackPoint, usize)> 
 }
 
 impl RecordedTraffic {
+    /// Returns whether a vehicle follows another at any time.
+    pub(super) fn has_followers(&self) -> bool {
+        self.points.iter().any(|point| point.ahead.is_some())
+    }
+
     /// Builds tracks from sorted points, and links leaders and followers. Appends omissions, with the line of their
     /// first occurrence. The error is the line at which interpolation makes too many points.
     pub(super) fn build(

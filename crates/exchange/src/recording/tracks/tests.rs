@@ -295,3 +295,28 @@ fn columns_that_contradict_each_other_are_reported_with_the_reason() {
     assert_eq!(lengths, [100, 50]);
     assert!(messages(&recording).contains("a.csv:102: the gap changes by"), "{}", messages(&recording));
 }
+
+/// A walk over all instants for each vehicle took more than a minute.
+#[test]
+fn sparse_vehicles_are_linked_in_linear_time() {
+    use super::link::link;
+    let count = 200_000_u32;
+    let point = |track: u32, time_ms: i64| TrackPoint {
+        vehicle: track,
+        track,
+        lane: track % 7,
+        time_ms,
+        line: 1,
+        position_m: Some(f64::from(track)),
+        speed_mps: Some(0.0),
+        length_m: Some(4.0),
+        front_m: f64::from(track),
+        ..TrackPoint::default()
+    };
+    // Each vehicle has a row at its own time and one at the end.
+    let rows = |track: u32| [point(track, i64::from(track)), point(track, i64::from(2 * count - track))];
+    let mut points: Vec<TrackPoint> = (0..count).flat_map(rows).collect();
+    let started = std::time::Instant::now();
+    link(&mut points, 500, &mut Vec::new());
+    assert!(started.elapsed().as_secs() < 20, "{:?}", started.elapsed());
+}

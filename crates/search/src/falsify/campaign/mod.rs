@@ -46,6 +46,7 @@ pub use summary::{
 
 use std::ops::RangeInclusive;
 
+use super::InvalidPoints;
 use crumple_core::observer::Stopped;
 use crumple_store::disk::DiskError;
 use crumple_store::run_folder::RunFolderError;
@@ -101,8 +102,13 @@ pub enum CampaignError {
     )]
     NoIdentity(String),
     /// The search method proposed no points, or points outside the unit cube.
-    #[error("the search method `{0}` must propose points of the unit cube, at least one each time")]
-    InvalidPoints(String),
+    #[error("the search method `{method}` {problem}")]
+    InvalidPoints {
+        /// Name of the method.
+        method: String,
+        /// Problem of the points.
+        problem: InvalidPoints,
+    },
     /// A number is out of range.
     #[error("{field}: must be from {} to {}, found {found}", range.start(), range.end())]
     OutOfRange {

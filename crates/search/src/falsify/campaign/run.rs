@@ -245,9 +245,8 @@ pub(super) fn next_points(
     let mut points = search.ask();
     (1..batches).for_each(|_| points.extend(search.ask()));
     points.truncate(usize::try_from(most).unwrap_or(usize::MAX));
-    if points.is_empty() || !points.iter().all(|point| config.cube.contains(point)) {
-        return Err(CampaignError::InvalidPoints(method.name().to_owned()));
-    }
+    let invalid = |problem| CampaignError::InvalidPoints { method: method.name().to_owned(), problem };
+    config.cube.check_points(&points).map_err(invalid)?;
     points.iter_mut().for_each(|point| *point = config.space.search_point(point));
     Ok(points)
 }
