@@ -44,7 +44,7 @@ impl DbcFile {
     pub fn load(path: &Path) -> Result<Self, MdfError> {
         let error = |problem: String| MdfError::Dbc { path: path.to_owned(), line: None, problem };
         let mut bytes = Vec::new();
-        let file = std::fs::File::open(path).map_err(|source| error(source.to_string()))?;
+        let file = crumple_core::regular_file::open(path).map_err(|source| error(source.to_string()))?;
         file.take(MAX_DBC_BYTES + 1).read_to_end(&mut bytes).map_err(|source| error(source.to_string()))?;
         Self::parse(&bytes, path)
     }

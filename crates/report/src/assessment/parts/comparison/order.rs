@@ -46,6 +46,9 @@ fn compare_numbers(before: &Strength, now: &Strength) -> Option<Ordering> {
             let is_changed = own != before && runs == before_runs;
             is_changed.then(|| before.cmp(own))
         }
+        (Strength::Gain { largest: before, .. }, Strength::Gain { largest, .. }) => {
+            Some(before.value().total_cmp(&largest.value()))
+        }
         _ => compare_bounds(rate_bounds(before)?, rate_bounds(now)?),
     }
 }
