@@ -117,6 +117,11 @@ pub(super) fn ensure_trusted() -> Result<(), CliError> {
     named_controllers().iter().try_for_each(|controller| Ok(controller.ensure_trusted()?))
 }
 
+/// Ends the programs of all named controllers. Call at the end: a static variable is never dropped.
+pub(super) fn release_controllers() {
+    NAMED_CONTROLLERS.lock().unwrap_or_else(PoisonError::into_inner).clear();
+}
+
 /// Loads a policy in crumple's own format, built in or from a file.
 pub(super) fn parse_own_policy(name: &str) -> Result<NamedController, ArgumentError> {
     let usable = "use `policy`, `retrained`, `road`, or a policy file that `crumple train` wrote";

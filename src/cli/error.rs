@@ -66,8 +66,8 @@ pub(super) fn is_caused_by_environment(error: &(dyn Error + 'static)) -> bool {
     false
 }
 
-/// Returns true if a message contains an error of the system for a full, damaged or protected disk. Errors of files that
-/// other files name, and those of other processes, contain it as text only.
+/// Returns true if a message contains an error of the system for a full, damaged or protected disk. Errors of files
+/// that other files name, and those of other processes, contain it as text only.
 pub(super) fn states_disk_failure(message: &str) -> bool {
     /// `EIO`, which has no kind.
     const INPUT_OUTPUT_ERROR: i32 = 5;

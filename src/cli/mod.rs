@@ -184,6 +184,7 @@ pub(crate) fn run(arguments: impl IntoIterator<Item = OsString>) -> ExitCode {
     });
     // Results of a controller that contradicted itself count for nothing, whatever the command found.
     let done = args::ensure_trusted().and(done);
+    args::release_controllers();
     match done {
         Ok(()) => ExitCode::SUCCESS,
         Err(failure) => {

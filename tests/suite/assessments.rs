@@ -364,7 +364,7 @@ fn gates_find_the_draws_of_own_spaces() {
     };
     assert_eq!(explanation("space `mine`"), Some("Drives of 0.099 h"));
     // Built-in spaces have their one-line descriptions, the others their own texts.
-    let traffic = "everyday driving without hard braking, to measure the usefulness of a controller";
+    let traffic = "everyday driving without hard braking; idm or acc-aeb drives the follower";
     assert_eq!(explanation("space `traffic`"), Some(traffic));
     let about = |name: &str| {
         let spaces = &found.space_descriptions.spaces;

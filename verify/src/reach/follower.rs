@@ -37,7 +37,7 @@ use crate::scope::round_down;
 const MIN_GAP_M: f64 = 0.01;
 
 /// Speed difference to the leader up to which `acc-aeb` accelerates without a set speed, in m/s.
-const CATCH_UP_MPS: f64 = 5.0;
+const CATCH_UP_MPS: f64 = 2.0;
 
 /// Upper bound of the double-precision error of the law's inputs within a kilometre of the origin, in m and m/s.
 const OBSERVATION_ROUNDING: f64 = 1e-9;

@@ -11,10 +11,10 @@ const MAX_DEPTH: usize = 50;
 
 /// Values of parameters by name.
 #[derive(Debug, Default, Clone)]
-pub(super) struct Parameters(BTreeMap<String, ParameterValue>);
+pub(super) struct Parameters(BTreeMap<String, DeclaredParameter>);
 
 #[derive(Debug, Clone)]
-struct ParameterValue {
+struct DeclaredParameter {
     text: String,
     /// The value of a number, which expressions may use many times.
     number: Option<f64>,
@@ -48,7 +48,7 @@ impl Parameters {
                 return Err(one.refuse(format!("the value of `{name}` has more than {MAX_VALUE_BYTES} bytes")));
             }
             let number = text.trim().parse().ok();
-            declared.0.insert(name, ParameterValue { text, number });
+            declared.0.insert(name, DeclaredParameter { text, number });
         }
         for one in node.children() {
             let one = Node { parameters: &declared, ..one };

@@ -11,6 +11,7 @@ mod claims;
 mod commands;
 mod config;
 mod document;
+mod followers;
 mod gate;
 mod gate_evaluation;
 mod gather_context;

@@ -41,8 +41,8 @@ impl AccAebSettings {
 ///
 /// The command is the usual linear one, a = k_g (gap - s₀ - T v) + k_v (v_ahead - v), with T from bumper to bumper
 /// (Rajamani, *Vehicle Dynamics and Control*, 2nd edition, section 6.6.1 has its constant-time-gap family). It is at
-/// most k_v (u - v) with a set speed u. Without one it is at most k_v (v_ahead + 5 m/s - v), or 0 if that is negative:
-/// the controller closes a gap at 5 m/s at most, but never brakes for this reason.
+/// most k_v (u - v) with a set speed u. Without one it is at most k_v (v_ahead + 2 m/s - v), or 0 if that is negative:
+/// the controller closes a gap at 2 m/s at most, but never brakes for this reason.
 #[derive(Debug, Clone, PartialEq)]
 pub struct AccAeb {
     settings: AccAebSettings,
@@ -101,10 +101,9 @@ mod tests {
             |speed_mps, gap_m, ahead_mps| command_behind(&mut controller, speed_mps, gap_m, ahead_mps, 0.0);
         assert_eq!(command(0.0, 2.0, 0.0), 0.0, "at its gap at standstill");
         assert_eq!(command(0.0, 4.0, 1.0), 0.5 + 0.8, "drives off behind a leader that drives off");
-        assert_eq!(command(25.0, 30.0, 25.0), 2.0, "the gap is 8 m too long");
-        assert_eq!(command(27.0, 200.0, 25.0), 2.0, "closes in at up to 5 m/s");
-        assert!((command(29.0, 200.0, 25.0) - 0.8).abs() < 1e-12);
-        assert_eq!(command(31.0, 200.0, 25.0), 0.0);
+        assert_eq!(command(25.0, 30.0, 25.0), 1.6, "the gap is 8 m too long, and it closes in at up to 2 m/s");
+        assert!((command(26.0, 200.0, 25.0) - 0.8).abs() < 1e-12);
+        assert_eq!(command(28.0, 200.0, 25.0), 0.0);
         assert_eq!(command(25.0, 500.0, 0.0), 0.0, "does not accelerate towards a standing vehicle");
     }
 }

@@ -109,7 +109,7 @@ mod tests {
         assert!((command(20.0, 100.0, 0.0) + 400.0 / 188.0).abs() < 1e-12);
         assert_eq!(command(20.0, 30.0, 0.0), -3.5, "at its limit");
         assert_eq!(command(20.0, 500.0, 20.0), 1.2, "follows without a limit");
-        assert_eq!(command(20.0, 500.0, 10.0), 0.0, "closes a gap at 5 m/s at most");
+        assert_eq!(command(20.0, 500.0, 10.0), 0.0, "closes a gap at 2 m/s at most");
         let settings = OpenpilotSettings { set_speed_mps: 20.5, ..settings };
         let mut controller = Openpilot::start(&settings, &EGO, 0);
         assert_eq!(command_behind(&mut controller, 20.0, 500.0, 20.0, 0.0), 0.5, "up to its set speed");

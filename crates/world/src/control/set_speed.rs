@@ -6,7 +6,7 @@ use crate::observation::Observation;
 pub(super) const NO_SET_SPEED_MPS: f64 = 100.0;
 /// Speed difference to the leader up to which a controller without a set speed accelerates, in m/s. Without this limit
 /// it would reach any speed behind a leader far ahead, from which it could no longer brake in time.
-pub(super) const CATCH_UP_MPS: f64 = 5.0;
+pub(super) const CATCH_UP_MPS: f64 = 2.0;
 
 /// True if the setting is a set speed.
 #[inline]
@@ -74,7 +74,7 @@ mod tests {
         assert_eq!(max_accel_mps2(25.0, 0.5, &alone), 2.5);
         assert_eq!(max_accel_mps2(15.0, 0.5, &behind(20.0, 30.0)), -2.5);
         assert_eq!(max_accel_mps2(NO_SET_SPEED_MPS, 0.5, &alone), 0.0, "holds its speed on an empty road");
-        assert_eq!(max_accel_mps2(NO_SET_SPEED_MPS, 0.5, &behind(20.0, 20.0)), 2.5);
+        assert_eq!(max_accel_mps2(NO_SET_SPEED_MPS, 0.5, &behind(20.0, 20.0)), 1.0);
         assert_eq!(max_accel_mps2(NO_SET_SPEED_MPS, 0.5, &behind(25.0, 20.0)), 0.0);
         assert_eq!(max_accel_mps2(NO_SET_SPEED_MPS, 0.5, &behind(40.0, 20.0)), 0.0, "does not brake");
     }
@@ -104,7 +104,7 @@ mod tests {
     #[test]
     fn a_gap_without_limit_closes_without_hard_braking() {
         for gap_m in [50.0, 200.0, 1000.0] {
-            let seconds = 60.0 + gap_m / 4.0;
+            let seconds = 60.0 + gap_m;
             for (result, trace) in drive(gap_m, [25.0, 25.0], &LeadProfile::ConstantSpeed, seconds, "") {
                 assert!(result.vehicles[1].max_brake_mps2 < 2.5, "{gap_m}: {}", result.vehicles[1].max_brake_mps2);
                 let final_m = trace.gaps_m(1).last().unwrap().unwrap();

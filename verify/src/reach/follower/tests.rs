@@ -320,7 +320,7 @@ fn a_follower_model_is_printed_with_all_numbers() {
              m/s², {limit}, and full braking while its time to collision is below 1.4 s"
         )
     };
-    let without = of_acc("no acceleration while it is more than 5 m/s faster than its leader");
+    let without = of_acc("no acceleration while it is more than 2 m/s faster than its leader");
     assert_eq!(FollowerLaw::AccAeb(acc).to_string(), without);
     let with = AccAebLaw { set_speed_mps: Some(12.5), ..acc };
     assert_eq!(FollowerLaw::AccAeb(with).to_string(), of_acc("a set speed of 12.5 m/s"));

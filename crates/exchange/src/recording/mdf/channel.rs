@@ -1,7 +1,7 @@
 //! Channels: the value of a record, as a number in the channel's unit.
 
 use super::blocks::{Block, Blocks};
-use super::conversion::Conversion;
+use super::conversion::ChannelConversion;
 use super::{MdfError, SignalUse};
 
 /// A channel of fixed place in its records.
@@ -11,7 +11,7 @@ pub(super) struct Channel {
     pub(super) unit: String,
     bits: BitField,
     kind: RawValueKind,
-    conversion: Conversion,
+    conversion: ChannelConversion,
     /// Bit of the record that is set if the value is invalid.
     invalid_bit: Option<usize>,
 }
@@ -84,9 +84,9 @@ impl Channel {
                 if unit.is_empty() {
                     unit = blocks.text(conversion.link(1))?;
                 }
-                Conversion::read(blocks, &conversion, value == RawValueKind::Float, use_of)?
+                ChannelConversion::read(blocks, &conversion, value == RawValueKind::Float, use_of)?
             }
-            None => Conversion::Identity,
+            None => ChannelConversion::Identity,
         };
         Ok(Some(Self { name, unit, bits, kind: value, conversion, invalid_bit }))
     }

@@ -11,7 +11,7 @@ const MAX_OVERLAPPING: usize = 64;
 const FIRST_REFERENCE: usize = 4;
 
 #[derive(Debug, Clone)]
-pub(super) enum Conversion {
+pub(super) enum ChannelConversion {
     Identity,
     /// A text, or no value at all.
     Missing,
@@ -34,8 +34,8 @@ pub(super) enum Conversion {
     /// Ranges or single values with their conversions, and the conversion of all others. Texts are missing values.
     Partial {
         ranges: Ranges,
-        conversions: Vec<Conversion>,
-        otherwise: Box<Conversion>,
+        conversions: Vec<ChannelConversion>,
+        otherwise: Box<ChannelConversion>,
     },
 }
 
@@ -48,7 +48,7 @@ pub(super) struct Ranges {
     overlap: bool,
 }
 
-impl Conversion {
+impl ChannelConversion {
     /// Reads the conversion of a channel. `is_float` states that raw numbers are floating point numbers.
     pub(super) fn read(
         blocks: &mut Blocks,

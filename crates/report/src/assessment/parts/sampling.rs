@@ -1,5 +1,6 @@
 //! Random scenarios of scenario spaces: failure rates with exact bounds, and paired comparison.
 
+use std::collections::BTreeSet;
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
@@ -9,6 +10,7 @@ use super::share::{CONFIDENCE, PercentInterval, ShareFigure};
 use crate::assessment::case::{CaseVerdict, smallest};
 use crate::assessment::claims::{AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength};
 use crate::assessment::document::ReportDocument;
+use crate::assessment::followers::{describe_followers, follower_drivers};
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::plan::NamedSpace;
 use crate::assessment::run_ends::{RunEnds, note_unanswered};
@@ -37,6 +39,8 @@ pub struct SpaceSamples {
 pub struct SpaceSample {
     /// Scenario space.
     pub space: ContentId,
+    /// Names of the drivers of the vehicles directly behind a vehicle under test.
+    pub followers: BTreeSet<String>,
     /// Number of random scenarios for each controller.
     #[serde(rename = "draws")]
     pub random_scenarios: u64,
@@ -162,8 +166,10 @@ impl SpaceSample {
         let plan = work.plan;
         let config = &plan.config;
         let mut tallies: Vec<SampleTally> = plan.controllers.iter().map(|_| SampleTally::default()).collect();
+        let mut followers = BTreeSet::new();
         for draws in batches(config.draws) {
             let scenarios = draw_scenarios(&named.space, config.seed, draws)?;
+            followers.append(&mut follower_drivers(&scenarios));
             let mut first: Vec<RunSummary> = Vec::new();
             for (tally, controller) in tallies.iter_mut().zip(&plan.controllers) {
                 let runs = run_samples(&scenarios, controller, plan)?;
@@ -178,6 +184,7 @@ impl SpaceSample {
         let controllers = finished.map(|(index, (controller, tally))| tally.finish(controller, index > 0)).collect();
         Ok(Self {
             space: named.content_id.clone(),
+            followers,
             random_scenarios: config.draws,
             seed: config.seed,
             confidence: CONFIDENCE,
@@ -187,11 +194,12 @@ impl SpaceSample {
 
     fn introduction(&self) -> String {
         format!(
-            "All controllers run the same {} random scenarios of `{}` (seed {}). Bounds are exact (Clopper–Pearson, {} \
-             %, each controller separately) and rounded outwards.",
+            "All controllers run the same {} random scenarios of `{}` (seed {}), in which {}. Bounds are exact \
+             (Clopper–Pearson, {} %, each controller separately) and rounded outwards.",
             self.random_scenarios,
             self.space.name,
             self.seed,
+            describe_followers(&self.followers),
             100.0 * self.confidence
         )
     }

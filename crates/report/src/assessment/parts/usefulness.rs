@@ -3,6 +3,8 @@
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
+use std::collections::BTreeSet;
+
 use super::everyday_drives::{BrakingRate, EverydayDrive, braking_rates};
 use super::oscillation_gain::{OscillationGain, draw_gains, gain_introduction, gain_table};
 use super::sampling::{draw_scenarios, run_samples, simulate_each};
@@ -11,6 +13,7 @@ use crate::assessment::claims::{
     AssuranceClaim, ContentId, Domain, Evidence, EvidenceSource, Property, Strength, Subject,
 };
 use crate::assessment::document::ReportDocument;
+use crate::assessment::followers::{describe_followers, follower_drivers};
 use crate::assessment::gather_context::GatherContext;
 use crate::assessment::rounded::or_dash;
 use crate::assessment::run_ends::RunEnds;
@@ -33,6 +36,8 @@ pub(in crate::assessment) const EVERYDAY_SPACES: [&str; 2] = ["traffic", "high-r
 pub struct UsefulnessReport {
     /// Scenario spaces: everyday traffic, and dangerous scenarios.
     pub spaces: [ContentId; 2],
+    /// Names of the drivers of the vehicles directly behind a vehicle under test, for each space.
+    pub followers: [BTreeSet<String>; 2],
     /// Number of random scenarios of each space for each controller.
     #[serde(rename = "draws")]
     pub random_scenarios: u64,
@@ -130,6 +135,7 @@ impl UsefulnessReport {
         let spaces = [content_id(&traffic)?, content_id(&high_risk)?];
         let traffic = draw_scenarios(&traffic, seed, 0..count)?;
         let high_risk = draw_scenarios(&high_risk, seed, 0..count)?;
+        let followers = [&traffic, &high_risk].map(|scenarios| follower_drivers(scenarios));
         let useful = |controller: &NamedController| -> Result<ControllerUsefulness, AssessError> {
             let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
             let drives = simulate_each(&traffic, &options, RecordingLevel::Trace, EverydayDrive::new)?;
@@ -141,7 +147,7 @@ impl UsefulnessReport {
             Ok(useful)
         };
         let controllers = plan.controllers.iter().map(useful).collect::<Result<_, _>>()?;
-        Ok(Some(Self { spaces, random_scenarios: count, seed, confidence: CONFIDENCE, controllers }))
+        Ok(Some(Self { spaces, followers, random_scenarios: count, seed, confidence: CONFIDENCE, controllers }))
     }
 
     pub(in crate::assessment) fn domains(&self) -> [Domain; 2] {
@@ -194,12 +200,13 @@ impl UsefulnessReport {
         format!(
             "A controller that stands still never collides, so the report also measures usefulness. Every controller \
              drives the same {} random scenarios of `traffic` (seed {}), ordinary driving without hard braking, and as \
-             many of `high-risk`. Columns without a space are about `traffic`. Braking is unnecessary if it is more \
+             many of `high-risk`. {}. Columns without a space are about `traffic`. Braking is unnecessary if it is more \
              than {UNNECESSARY_MARGIN_MPS2} m/s² harder, for 0.2 s, than the Intelligent Driver Model would brake at \
              the true state, than the collision avoidance required, and than the leader braked. Bounds are exact \
              (Clopper–Pearson, {} %).",
             self.random_scenarios,
             self.seed,
+            self.describe_followers(),
             100.0 * self.confidence
         )
     }
@@ -247,10 +254,19 @@ impl UsefulnessReport {
     /// Explains the table of the first page.
     pub(super) fn both_sides_note(&self) -> String {
         format!(
-            "Both sides: {} random scenarios of each space (seed {}). Columns without a space are about `traffic`. \
+            "Both sides: {} random scenarios of each space (seed {}). {}. Columns without a space are about `traffic`. \
              Hard: unnecessary braking harder than {HARD_BRAKE_MPS2} m/s².",
-            self.random_scenarios, self.seed
+            self.random_scenarios,
+            self.seed,
+            self.describe_followers()
         )
+    }
+
+    fn describe_followers(&self) -> String {
+        let described = EVERYDAY_SPACES.into_iter().zip(&self.followers);
+        let described: Vec<_> =
+            described.map(|(space, drivers)| format!("`{space}`, {}", describe_followers(drivers))).collect();
+        format!("In {}", described.join("; in "))
     }
 
     /// The failures of both spaces by their kind.

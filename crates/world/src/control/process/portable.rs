@@ -1,8 +1,9 @@
 //! Copies of the files of a process, with which it is the same controller in another folder.
 
-use std::fs::File;
 use std::io::{self, Read as _};
 use std::path::{Component, Path};
+
+use crumple_core::regular_file;
 
 use super::{ListedFile, ProcessController, ProcessSetup, file_sha256};
 
@@ -39,7 +40,7 @@ impl ProcessController {
         let Some(name) = self.portable_file() else { return Ok(Vec::new()) };
         let read = |path: &str| -> io::Result<Vec<u8>> {
             let mut bytes = Vec::new();
-            File::open(self.setup.folder.join(path))?.take(MAX_BYTES).read_to_end(&mut bytes)?;
+            regular_file::open(&self.setup.folder.join(path))?.take(MAX_BYTES).read_to_end(&mut bytes)?;
             Ok(bytes)
         };
         let mut files = Vec::new();

@@ -9,13 +9,13 @@ use crate::sim::{RecordingLevel, Run, RunOptions, simulate};
 
 /// A linear law for gap, speed and closing speed: a = `stiffness` (gap - `time_gap` v) + `damping` (v_leader - v).
 #[derive(Clone, Copy)]
-struct Linear {
+struct LinearFollower {
     stiffness_per_s2: f64,
     time_gap_s: f64,
     damping_per_s: f64,
 }
 
-impl ControllerSource for Linear {
+impl ControllerSource for LinearFollower {
     fn identity(&self) -> Option<String> {
         None
     }
@@ -25,7 +25,7 @@ impl ControllerSource for Linear {
     }
 }
 
-impl Controller for Linear {
+impl Controller for LinearFollower {
     fn decide(&mut self, seen: &Observation) -> Result<f64, ControllerFailure> {
         let law = |gap_m: f64, ahead_mps: f64| {
             self.stiffness_per_s2 * (gap_m - self.time_gap_s * seen.speed_mps)
@@ -35,7 +35,7 @@ impl Controller for Linear {
     }
 }
 
-impl Linear {
+impl LinearFollower {
     /// Magnitude of the transfer function from the leader's speed to the own speed.
     fn exact_gain(&self, w: f64) -> f64 {
         let Self { stiffness_per_s2: k, time_gap_s: h, damping_per_s: d } = *self;
@@ -55,7 +55,7 @@ fn idm_with(change: impl FnOnce(&mut IdmSettings)) -> ControllerSpec {
 
 #[test]
 fn gains_of_a_linear_law_are_those_of_its_transfer_function() {
-    let law = Linear { stiffness_per_s2: 0.4, time_gap_s: 1.2, damping_per_s: 0.3 };
+    let law = LinearFollower { stiffness_per_s2: 0.4, time_gap_s: 1.2, damping_per_s: 0.3 };
     let found = survey(ControllerKind::Custom(Arc::new(law)), &[20.0]);
     for point in &found.points {
         // A decision holds for 0.01 s: this delay changes gains by up to 0.003.
@@ -117,7 +117,7 @@ fn an_oscillation_of_1_mps_at_8_mps_grows_along_a_line_of_idm() {
 fn a_controller_that_follows_no_leader_has_no_gain() {
     let found = survey(ControllerSpec::from_name("baseline").unwrap(), &[8.0]);
     assert!(found.largest().is_none() && found.points.iter().all(|point| point.gain == Err(NoGain::NotSettled)));
-    let keeps_speed = Linear { stiffness_per_s2: 0.0, time_gap_s: 0.0, damping_per_s: 0.0 };
+    let keeps_speed = LinearFollower { stiffness_per_s2: 0.0, time_gap_s: 0.0, damping_per_s: 0.0 };
     let found = survey(ControllerKind::Custom(Arc::new(keeps_speed)), &[8.0]);
     assert!(found.points.iter().all(|point| point.gain == Err(NoGain::Collision)), "{:?}", found.points[0]);
 }
