@@ -123,9 +123,7 @@ fn predictive_and_road_are_safe_and_useful() {
     let idm = drive("idm", &traffic, EstimatorKind::Kalman).mean_squares;
     for controller in ["predictive", "road"] {
         let Driven { collisions, faults, mean_squares } = drive(controller, &traffic, EstimatorKind::Kalman);
-        // `road` was trained with followers `acc-aeb` that did not close in.
-        let max_faults = if controller == "road" { 2 } else { 0 };
-        assert!(collisions == 0 && faults <= max_faults, "{controller}: {collisions} {faults}");
+        assert_eq!((collisions, faults), (0, 0), "{controller}");
         let [acceleration, jerk] = [0, 1].map(|of| (mean_squares[of] / idm[of]).sqrt());
         assert!(acceleration < 1.2 && jerk < 1.2, "{controller}: {acceleration} and {jerk} times those of idm");
         let collisions = drive(controller, &danger, EstimatorKind::Kalman).collisions;

@@ -17,7 +17,7 @@ fn drivers_behind(scenario: &Scenario) -> impl Iterator<Item = String> {
 }
 
 /// Describes followers in a sentence: "`baseline` drives the follower".
-pub(super) fn describe_followers(drivers: &BTreeSet<String>) -> String {
+pub(super) fn describe_followers(drivers: &[String]) -> String {
     let names: Vec<_> = drivers.iter().map(|name| format!("`{name}`")).collect();
     match names.as_slice() {
         [] => "no vehicle follows, so no collision from behind can happen".to_owned(),
@@ -35,7 +35,8 @@ mod tests {
         let described = |space: &str| {
             let space = built_in_space(space).unwrap();
             let scenarios: Vec<_> = (0..100).map(|index| space.draw(0, index).unwrap()).collect();
-            describe_followers(&follower_drivers(&scenarios))
+            let drivers: Vec<_> = follower_drivers(&scenarios).into_iter().collect();
+            describe_followers(&drivers)
         };
         assert_eq!(described("high-risk"), "`baseline` drives the follower");
         assert_eq!(described("high-risk-human"), "`human` drives the follower");

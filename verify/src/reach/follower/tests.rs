@@ -80,7 +80,7 @@ fn acc_acceleration(law: &AccAebLaw, [gap, v, w]: [f64; 3]) -> f64 {
     let follow = law.gap_gain_per_s2 * (gap - law.standstill_gap_m - law.time_headway_s * v);
     let limit = match law.set_speed_mps {
         Some(u) => law.speed_gain_per_s * (u - v),
-        None if v - w < 5.0 => law.speed_gain_per_s * (w + 5.0 - v),
+        None if v - w < 2.0 => law.speed_gain_per_s * (w + 2.0 - v),
         None => 0.0,
     };
     let wanted = limit.min(follow + law.speed_gain_per_s * (w - v));
@@ -175,7 +175,7 @@ proptest! {
     ) {
         let law = FollowerLaw::AccAeb(AccAebLaw { set_speed_mps: None, ..law });
         let own = interval(v + faster, v + width + faster);
-        let observed = [interval(1.0, 1e9), own, interval(0.0, v - 5.0)].map(AffineForm::constant);
+        let observed = [interval(1.0, 1e9), own, interval(0.0, v - 2.0)].map(AffineForm::constant);
         prop_assert!(law.command_range(&observed, interval(-8.0, 9.0)).high() <= 0.0);
     }
 }

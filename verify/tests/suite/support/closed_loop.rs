@@ -84,7 +84,7 @@ fn law_acceleration(law: &FollowerLaw, brake: f64, [gap, v, ahead]: [f64; 3]) ->
         FollowerLaw::AccAeb(acc) => {
             let limit = match acc.set_speed_mps {
                 Some(set_speed) => acc.speed_gain_per_s * (set_speed - v),
-                None => (acc.speed_gain_per_s * (ahead + 5.0 - v)).max(0.0),
+                None => (acc.speed_gain_per_s * (ahead + 2.0 - v)).max(0.0),
             };
             let spacing = gap - acc.standstill_gap_m - acc.time_headway_s * v;
             let follow = acc.gap_gain_per_s2 * spacing + acc.speed_gain_per_s * (ahead - v);

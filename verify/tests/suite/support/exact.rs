@@ -285,7 +285,7 @@ fn law_acceleration(
             let gain = of(acc.speed_gain_per_s);
             let limit = match acc.set_speed_mps {
                 Some(set_speed) => gain.clone() * (of(set_speed) - v.clone()),
-                None => (gain.clone() * (of(5.0) - closing.clone())).max(&FixedPointInterval::zero()),
+                None => (gain.clone() * (of(2.0) - closing.clone())).max(&FixedPointInterval::zero()),
             };
             let spacing = gap.clone() - of(acc.standstill_gap_m) - of(acc.time_headway_s) * v.clone();
             let follow = of(acc.gap_gain_per_s2) * spacing - gain * closing;

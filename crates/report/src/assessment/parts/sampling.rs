@@ -40,7 +40,7 @@ pub struct SpaceSample {
     /// Scenario space.
     pub space: ContentId,
     /// Names of the drivers of the vehicles directly behind a vehicle under test.
-    pub followers: BTreeSet<String>,
+    pub followers: Vec<String>,
     /// Number of random scenarios for each controller.
     #[serde(rename = "draws")]
     pub random_scenarios: u64,
@@ -184,7 +184,7 @@ impl SpaceSample {
         let controllers = finished.map(|(index, (controller, tally))| tally.finish(controller, index > 0)).collect();
         Ok(Self {
             space: named.content_id.clone(),
-            followers,
+            followers: followers.into_iter().collect(),
             random_scenarios: config.draws,
             seed: config.seed,
             confidence: CONFIDENCE,

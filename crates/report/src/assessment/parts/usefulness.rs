@@ -3,8 +3,6 @@
 use serde::{Deserialize, Serialize};
 use serde_json::json;
 
-use std::collections::BTreeSet;
-
 use super::everyday_drives::{BrakingRate, EverydayDrive, braking_rates};
 use super::oscillation_gain::{OscillationGain, draw_gains, gain_introduction, gain_table};
 use super::sampling::{draw_scenarios, run_samples, simulate_each};
@@ -37,7 +35,7 @@ pub struct UsefulnessReport {
     /// Scenario spaces: everyday traffic, and dangerous scenarios.
     pub spaces: [ContentId; 2],
     /// Names of the drivers of the vehicles directly behind a vehicle under test, for each space.
-    pub followers: [BTreeSet<String>; 2],
+    pub followers: [Vec<String>; 2],
     /// Number of random scenarios of each space for each controller.
     #[serde(rename = "draws")]
     pub random_scenarios: u64,
@@ -135,7 +133,7 @@ impl UsefulnessReport {
         let spaces = [content_id(&traffic)?, content_id(&high_risk)?];
         let traffic = draw_scenarios(&traffic, seed, 0..count)?;
         let high_risk = draw_scenarios(&high_risk, seed, 0..count)?;
-        let followers = [&traffic, &high_risk].map(|scenarios| follower_drivers(scenarios));
+        let followers = [&traffic, &high_risk].map(|scenarios| follower_drivers(scenarios).into_iter().collect());
         let useful = |controller: &NamedController| -> Result<ControllerUsefulness, AssessError> {
             let options = RunOptions::new(controller.kind.clone()).with_estimator(plan.config.estimator);
             let drives = simulate_each(&traffic, &options, RecordingLevel::Trace, EverydayDrive::new)?;
@@ -200,10 +198,10 @@ impl UsefulnessReport {
         format!(
             "A controller that stands still never collides, so the report also measures usefulness. Every controller \
              drives the same {} random scenarios of `traffic` (seed {}), ordinary driving without hard braking, and as \
-             many of `high-risk`. {}. Columns without a space are about `traffic`. Braking is unnecessary if it is more \
-             than {UNNECESSARY_MARGIN_MPS2} m/s² harder, for 0.2 s, than the Intelligent Driver Model would brake at \
-             the true state, than the collision avoidance required, and than the leader braked. Bounds are exact \
-             (Clopper–Pearson, {} %).",
+             many of `high-risk`. {}. Columns without a space are about `traffic`. Braking is unnecessary if it is \
+             more than {UNNECESSARY_MARGIN_MPS2} m/s² harder, for 0.2 s, than the Intelligent Driver Model would \
+             brake at the true state, than the collision avoidance required, and than the leader braked. Bounds are \
+             exact (Clopper–Pearson, {} %).",
             self.random_scenarios,
             self.seed,
             self.describe_followers(),
