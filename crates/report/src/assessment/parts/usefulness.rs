@@ -174,7 +174,7 @@ impl UsefulnessReport {
                 property: Property::NoGrowingOscillation,
                 domain: OscillationGain::domain(),
             };
-            let source = EvidenceSource::from_part(ANCHOR, &format!("{} operating points", gain.points));
+            let source = EvidenceSource::from_part(ANCHOR, format!("{} operating points", gain.points));
             all.push(Evidence { claim, strength: gain.strength(), source });
             let mut add = |property, domain: &Domain, strength, made: &str| {
                 let claim = AssuranceClaim { subject: subject.clone(), property, domain: domain.clone() };
