@@ -155,7 +155,8 @@ pub fn read_at_most(path: &Path, most: u64) -> Result<String, FileError> {
         .and_then(|file| file.take(most.saturating_add(1)).read_to_end(&mut bytes))
         .map_err(unreadable)?;
     if bytes.len() as u64 > most {
-        let problem = format!("holds more than {} MiB, too much for such a file", most >> 20);
+        let size = if most < 1 << 20 { format!("{} KiB", most >> 10) } else { format!("{} MiB", most >> 20) };
+        let problem = format!("holds more than {size}, too much for such a file");
         return Err(unreadable(io::Error::new(io::ErrorKind::InvalidData, problem)));
     }
     let text = String::from_utf8(bytes).map_err(|error| {
