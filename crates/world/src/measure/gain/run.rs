@@ -105,7 +105,11 @@ impl LineRuns {
 
     fn settled_gaps(&self, speed_mps: f64) -> SettledGaps {
         let known = self.settled.iter().find(|(known, _)| *known == speed_mps);
-        known.map_or(Err(NoGain::NotSettled), |(_, gaps_m)| gaps_m.clone())
+        match known {
+            // A collision on the way to the equilibrium says nothing about oscillations.
+            None | Some((_, Err(NoGain::Collision))) => Err(NoGain::NotSettled),
+            Some((_, gaps_m)) => gaps_m.clone(),
+        }
     }
 
     fn simulate<T: Send>(
