@@ -32,7 +32,7 @@ pub fn open(path: &Path) -> io::Result<File> {
 /// Opens a regular file with the given options, which may create it. Does not wait, whatever has its name.
 ///
 /// # Errors
-/// As for [`open`].
+/// Those of [`open`].
 pub fn open_with(path: &Path, options: &OpenOptions) -> io::Result<File> {
     // To open a device may have effects.
     if let Ok(found) = path.metadata() {
@@ -47,7 +47,7 @@ pub fn open_with(path: &Path, options: &OpenOptions) -> io::Result<File> {
 /// Reads a regular file of at most `most` bytes.
 ///
 /// # Errors
-/// As for [`open`]; [`io::ErrorKind::InvalidData`] for a longer file.
+/// Those of [`open`]; [`io::ErrorKind::InvalidData`] for a longer file.
 pub fn read(path: &Path, most: u64) -> io::Result<Vec<u8>> {
     let mut bytes = Vec::new();
     open(path)?.take(most.saturating_add(1)).read_to_end(&mut bytes)?;
